@@ -1,0 +1,1 @@
+"""Batched quadrotor physics: compiled kernels over structure-of-arrays state, no learning and no files."""

@@ -1,0 +1,83 @@
+"""How srlrace compiles its numba functions, and where the machine code is kept.
+
+Numba's cache notices an edit of the file that defines a function, but not of the files that function calls
+into. The cache folder therefore carries a hash of every source file with kernels in it: any edit starts an
+empty cache, and old machine code is never run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba import config, njit
+
+# Reordering and contraction only: no "nnan" or "ninf", so that tests for NaN and infinity keep their meaning.
+FASTMATH = frozenset({"contract", "nsz", "arcp", "reassoc", "afn"})
+KERNEL_PACKAGES = ("sim", "world", "task")
+
+
+def source_digest(root: Path, packages: tuple[str, ...] = KERNEL_PACKAGES) -> str:
+    """Hash every Python source below `root`/`packages`, and the versions of the compiler."""
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.version}".encode())
+    for package in packages:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def user_cache_folder() -> Path:
+    """Folder for cached data: ``NUMBA_CACHE_DIR`` where the user set it, else srlrace's own."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "srlrace"
+
+
+def private_folder(path: Path) -> bool:
+    """Make `path` and tell whether only its owner, who is us, can write to it: cached kernels are executed."""
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = path.stat()
+    except OSError:
+        return False
+    ours = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    return ours and not status.st_mode & 0o022 and os.access(path, os.W_OK | os.X_OK)
+
+
+def cache_folder() -> str:
+    """Content-addressed folder of the compiled kernels; a fresh temporary one where ours is not usable."""
+    try:
+        path = user_cache_folder() / f"kernels-{source_digest(Path(__file__).parents[1])}"
+    except RuntimeError:  # no home directory
+        return tempfile.mkdtemp(prefix="srlrace-kernels-")
+    return str(path) if private_folder(path) else tempfile.mkdtemp(prefix="srlrace-kernels-")
+
+
+CACHE_FOLDER = cache_folder()
+
+
+def _compile(function: Callable[..., Any], **options: Any) -> Any:
+    # The folder is numba-wide: set it for this decoration only, so that other users of numba keep theirs.
+    previous, config.CACHE_DIR = config.CACHE_DIR, CACHE_FOLDER
+    try:
+        return njit(cache=True, nogil=True, error_model="numpy", fastmath=set(FASTMATH), **options)(function)
+    finally:
+        config.CACHE_DIR = previous
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function that Python calls, once per combination of argument types."""
+    return _compile(function)
+
+
+def inline(function: Callable[..., Any]) -> Any:
+    """Compile a small function that kernels call; LLVM always merges it into its caller."""
+    return _compile(function, forceinline=True)
