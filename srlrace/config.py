@@ -1,206 +1,121 @@
-"""The typed configuration: every setting of a run, with its unit, its range and its meaning.
+"""The validated configuration of a run: built once from plain data, and its identity.
 
-Hydra composes plain data from ``conf/``; `parse_config` turns that data into one frozen, validated
-`Config`, and everything downstream takes the `Config`. This module knows nothing of Hydra, numpy or
-torch, so a stored ``config.json`` can be checked without importing any of them.
+Hydra composes plain data from ``conf/``; `parse_config` turns it into one frozen `Config`, and
+everything downstream takes the `Config`. A stored ``config.json`` is read back by the same function,
+so what a stranger's file may hold is what the schema allows and nothing else.
 """
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, field
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-Vec3 = tuple[float, float, float]
+from srlrace.checks import check
+from srlrace.files import FileError, read_json
+from srlrace.parse import ConfigError, parse
+from srlrace.schema import (
+    AlgoConfig,
+    Config,
+    CurriculumConfig,
+    LevelConfig,
+    ObservationConfig,
+    ObstacleConfig,
+    QuadConfig,
+    RandomizationConfig,
+    RewardConfig,
+    SimConfig,
+    SpacingConfig,
+    TrackConfig,
+    Vec3,
+)
+
+__all__ = [
+    "AlgoConfig",
+    "Config",
+    "ConfigError",
+    "CurriculumConfig",
+    "LevelConfig",
+    "ObservationConfig",
+    "ObstacleConfig",
+    "QuadConfig",
+    "RandomizationConfig",
+    "RewardConfig",
+    "SimConfig",
+    "SpacingConfig",
+    "TrackConfig",
+    "Vec3",
+    "fingerprint",
+    "load_config",
+    "method_name",
+    "parse_config",
+    "run_id",
+    "to_dict",
+]
+
+TRACK_CHARACTERS = 20  # of a run id: with the seed and the hash, an id stays within the 64 of a name
+METHOD_CHARACTERS = 22
 
 
-def setting(
-    meaning: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    above: float | None = None,
-    choices: tuple[str, ...] = (),
-    default: Any = MISSING,
-) -> Any:
-    """Declare one setting: what it means, its unit, and the values it takes.
+def parse_config(data: Mapping[str, Any]) -> Config:
+    """Check plain data and build the configuration from it; raises `ConfigError`, one line."""
+    config = parse(Config, data)
+    check(config)
+    return config
 
-    ``low`` and ``high`` are inclusive bounds, ``above`` an exclusive lower bound; they apply to each
-    element of a tuple.
+
+def load_config(path: Path) -> Config:
+    """Read a stored ``config.json``; raises `ConfigError` naming the file."""
+    try:
+        return parse_config(read_json(path))
+    except FileError as error:
+        raise ConfigError(str(error)) from None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A configuration, or a part of one, as plain JSON data; `parse_config` reads it back unchanged."""
+    return {field.name: _plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return to_dict(value)
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def fingerprint(config: Config) -> str:
+    """SHA-256 of what defines the run, in hexadecimal.
+
+    Settings at the default that the schema declares are left out, so that a setting added later,
+    whose default is the old behaviour, does not rename every run made before.
     """
-    metadata = {"meaning": meaning, "unit": unit, "low": low, "high": high, "above": above, "choices": choices}
-    return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
+    text = json.dumps(_essence(config), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class ObstacleConfig:
-    """One obstacle as the track's author describes it; `srlrace.world` turns it into spheres."""
-
-    kind: str = setting("shape", choices=("sphere", "cylinder", "box"))
-    center: Vec3 = setting("centre of the shape, world frame", unit="m")
-    radius: float = setting("radius of a sphere or an upright cylinder", unit="m", low=0.0, default=0.0)
-    height: float = setting("height of a cylinder", unit="m", low=0.0, default=0.0)
-    edge: float = setting("edge of an axis-aligned cube", unit="m", low=0.0, default=0.0)
+def _essence(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_essence(item) for item in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    fields = ((field, getattr(value, field.name)) for field in dataclasses.fields(value))
+    return {field.name: _essence(item) for field, item in fields if item != field.default}
 
 
-@dataclass(frozen=True)
-class TrackConfig:
-    """A course of waypoints inside a box-shaped world."""
-
-    name: str = setting("name of the track, part of the run id")
-    waypoints: tuple[Vec3, ...] = setting("waypoints in the order of passing, world frame", unit="m")
-    start: Vec3 = setting("nominal start position, world frame", unit="m")
-    bounds_low: Vec3 = setting("lower corner of the world", unit="m")
-    bounds_high: Vec3 = setting("upper corner of the world", unit="m")
-    laps: int = setting("0: a course that ends at the last waypoint; k: k timed laps, ends at the first one", low=0)
-    horizon: float = setting("time limit of an episode", unit="s", above=0.0, high=600.0)
-    passing_radius: float = setting("a waypoint is passed within this distance", unit="m", above=0.0, default=0.3)
-    displaced_waypoints: int = setting("waypoints displaced per episode when displacement is on", low=0, default=0)
-    obstacles: tuple[ObstacleConfig, ...] = setting("obstacles that belong to the track", default=())
+def method_name(config: Config) -> str:
+    """What the run is called in ids and lists: its label, its baseline, or its reward and observation."""
+    if config.name:
+        return config.name
+    name, usual = (config.baseline, config.baseline) if config.baseline != "none" else (config.reward.name, "paper")
+    return name if config.observation.name == usual else f"{name}-{config.observation.name}"
 
 
-@dataclass(frozen=True)
-class SpacingConfig:
-    """One density of forest: trees on a square lattice, each jittered within a disc."""
-
-    pitch: float = setting("distance between lattice neighbours", unit="m", low=1.0)
-    jitter: float = setting("radius of each tree's random offset", unit="m", low=0.0)
-
-
-@dataclass(frozen=True)
-class LevelConfig:
-    """The clutter of a track: which obstacles stand in it, and when the drone touches one."""
-
-    name: str = setting("name of the obstacle level")
-    spacings: tuple[SpacingConfig, ...] = setting("densities of the generated maps, used in turn", default=())
-    maps: int = setting("number of generated maps", low=1, high=10_000, default=1)
-    map_seed: int = setting("seed of the first map; map i is drawn from map_seed + i", low=0, default=0)
-    tree_radius: float = setting("radius of a tree", unit="m", above=0.0, default=0.3)
-    clear_radius: float = setting("no tree surface closer to a waypoint or the start", unit="m", low=0.0, default=1.0)
-    safety_margin: float = setting("epsilon of d_safe = r + l + epsilon", unit="m", low=0.0, default=0.1)
-    obstacles: tuple[ObstacleConfig, ...] = setting("fixed obstacles, in every map", default=())
-
-
-@dataclass(frozen=True)
-class RewardConfig:
-    """The weight of each reward term; zero switches a term off."""
-
-    name: str = setting("name of the reward preset")
-    progress: float = setting("weight of the metres gained towards the target (lambda 1)", unit="1/m")
-    body_rate: float = setting("weight of the body rate's norm (minus lambda 2)", unit="s/rad")
-    safety: float = setting("weight of sum exp(-distance in m) over the nearest obstacles (lambda 3)")
-    collision: float = setting("given once on a crash or on leaving the world (r_c)")
-    completion: float = setting("given once on completion", default=0.0)
-    completion_time: float = setting("weight of the total time, given once on completion", unit="1/s", default=0.0)
-    time: float = setting("weight of the time that passes, given at every step", unit="1/s", default=0.0)
-
-
-@dataclass(frozen=True)
-class ObservationConfig:
-    """What the policy sees: named blocks, concatenated in order."""
-
-    name: str = setting("name of the observation preset")
-    blocks: tuple[str, ...] = setting("blocks in order", choices=(
-        "position", "rotation", "velocity", "body_rate", "targets", "obstacle_distances", "obstacle_vectors", "rays",
-    ))
-    targets: int = setting("waypoints seen ahead (j)", low=1, high=8, default=2)
-    obstacles: int = setting("nearest obstacles seen and counted by the safety reward (N)", low=1, high=64, default=10)
-    range: float = setting("obstacles farther than this are not seen", unit="m", above=0.0, high=100.0, default=10.0)
-    rays: int = setting("horizontal rays, evenly spaced in the world frame", low=4, high=256, default=32)
-    ray_scale: float = setting("a ray of length d is seen as exp(-d / ray_scale)", unit="m", above=0.0, default=2.5)
-
-
-@dataclass(frozen=True)
-class QuadConfig:
-    """The airframe, its rotors and its low-level rate controller."""
-
-    name: str = setting("name of the quadrotor preset")
-    mass: float = setting("mass", unit="kg", above=0.0)
-    inertia: Vec3 = setting("principal moments of inertia", unit="kg m^2", above=0.0)
-    arm_length: float = setting("rotor to centre; also the radius of the drone for collisions", unit="m", above=0.0)
-    torque_constant: float = setting("rotor torque per thrust (kappa)", unit="m", above=0.0)
-    thrust_max: float = setting("largest thrust of one rotor", unit="N", above=0.0)
-    rotor_time_constant: float = setting("first-order lag of the rotor thrust", unit="s", above=0.0)
-    body_rate_max: Vec3 = setting("largest commanded body rates", unit="rad/s", above=0.0)
-    rate_gains: Vec3 = setting("proportional gains of the rate controller", unit="1/s", above=0.0)
-    drag: Vec3 = setting("linear drag along the body axes", unit="1/s, or kg/s with drag_model=force", low=0.0)
-    drag_model: str = setting("what the drag coefficients multiply to", choices=("acceleration", "force"))
-
-
-@dataclass(frozen=True)
-class SimConfig:
-    """Time stepping."""
-
-    control_period: float = setting("time between two actions", unit="s", low=0.001, high=0.2, default=0.02)
-    substeps: int = setting("RK4 steps per control period", low=1, high=256, default=8)
-
-
-@dataclass(frozen=True)
-class RandomizationConfig:
-    """What is drawn anew at each reset."""
-
-    name: str = setting("name of the randomization preset")
-    position: float = setting("start position: +- this per axis", unit="m", low=0.0)
-    velocity: float = setting("start velocity: +- this per axis", unit="m/s", low=0.0)
-    attitude: float = setting("roll, pitch, yaw (or quaternion components): +- this", unit="rad", low=0.0)
-    attitude_draw: str = setting("how the attitude is drawn", choices=("euler", "quaternion"), default="euler")
-    min_height: float = setting("lowest start and waypoint height above the floor", unit="m", low=0.0, default=0.3)
-    waypoint_displacement: float = setting("displaced waypoints: +- this per axis", unit="m", low=0.0, default=0.0)
-    every_waypoint: bool = setting("displace every waypoint, not only as many as the track says", default=False)
-    maps: int = setting("draw from at least this many maps", low=1, high=10_000, default=1)
-    drag: float = setting("drag: +- this fraction", low=0.0, high=1.0, default=0.0)
-    thrust: float = setting("thrust map: +- this fraction", low=0.0, high=0.9, default=0.0)
-
-
-@dataclass(frozen=True)
-class CurriculumConfig:
-    """How training starts easier than evaluation; evaluation never uses any of this."""
-
-    name: str = setting("name of the curriculum preset")
-    gate_starts: float = setting("share of resets that start from a remembered gate passing", low=0.0, high=1.0)
-    gate_memory: int = setting("remembered passings per waypoint", low=1, high=100_000)
-    collision_initial: float = setting("share of the collision weight at the first step", low=0.0, high=1.0)
-    collision_ramp: float = setting("share of training over which it grows to 1", low=0.0, high=1.0)
-
-
-@dataclass(frozen=True)
-class AlgoConfig:
-    """PPO and its budget."""
-
-    name: str = setting("name of the algorithm preset")
-    total_steps: int = setting("environment steps of the whole training", low=1)
-    n_envs: int = setting("parallel drones", low=1)
-    n_steps: int = setting("steps per drone in a rollout", low=2)
-    batch_size: int = setting("samples in a minibatch", low=2)
-    n_epochs: int = setting("passes over a rollout", low=1, high=1000)
-    learning_rate: float = setting("Adam's step size at the start", above=0.0, high=1.0)
-    learning_rate_final: float = setting("Adam's step size at the end, reached linearly", low=0.0, high=1.0)
-    gamma: float = setting("discount per step", above=0.0, high=1.0)
-    gae_lambda: float = setting("GAE's lambda", low=0.0, high=1.0)
-    clip_range: float = setting("PPO's clip range", above=0.0, high=10.0)
-    ent_coef: float = setting("weight of the entropy bonus", low=0.0)
-    vf_coef: float = setting("weight of the value loss", low=0.0)
-    max_grad_norm: float = setting("gradients are clipped to this norm", above=0.0)
-    log_std_init: float = setting("initial log standard deviation of the actions", low=-10.0, high=5.0)
-    policy_layers: tuple[int, ...] = setting("hidden layers of the policy", low=1, high=8192)
-    value_layers: tuple[int, ...] = setting("hidden layers of the value function", low=1, high=8192)
-    activation: str = setting("activation of the hidden layers", choices=("relu", "tanh", "elu"))
-    threads: int = setting("torch threads, pinned", low=1, high=256, default=1)
-
-
-@dataclass(frozen=True)
-class Config:
-    """One run, completely: the same Config gives the same run."""
-
-    seed: int = setting("seed of everything random in training", low=0, high=2**31 - 1)
-    name: str = setting("your own label, replaces the method in the run id", default="")
-    baseline: str = setting("name of the baseline preset, or none", default="none")
-    env: TrackConfig = setting("the track")
-    level: LevelConfig = setting("its obstacles")
-    reward: RewardConfig = setting("the reward")
-    observation: ObservationConfig = setting("the observation")
-    quad: QuadConfig = setting("the quadrotor")
-    sim: SimConfig = setting("the simulator's time stepping")
-    randomization: RandomizationConfig = setting("what resets draw anew")
-    curriculum: CurriculumConfig = setting("what makes the start of training easier")
-    algo: AlgoConfig = setting("the learning algorithm")
+def run_id(config: Config) -> str:
+    """``<env>-<method>-s<seed>-<hash8>``: the same configuration has the same id, everywhere."""
+    track, method = config.env.name[:TRACK_CHARACTERS], method_name(config)[:METHOD_CHARACTERS]
+    return f"{track}-{method}-s{config.seed}-{fingerprint(config)[:8]}"
