@@ -7,6 +7,7 @@ empty cache, and old machine code is never run.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import sys
@@ -21,14 +22,14 @@ from numba import config, njit
 
 # Reordering and contraction only: no "nnan" or "ninf", so that tests for NaN and infinity keep their meaning.
 FASTMATH = frozenset({"contract", "nsz", "arcp", "reassoc", "afn"})
-KERNEL_PACKAGES = ("sim", "world", "task")
+LAYERS = ("sim", "world", "task")  # packages with kernels; each calls only itself and those before it
 
 
-def source_digest(root: Path, packages: tuple[str, ...] = KERNEL_PACKAGES) -> str:
-    """Hash every Python source below `root`/`packages`, and the versions of the compiler."""
+def source_digest(root: Path, layers: tuple[str, ...]) -> str:
+    """Hash every Python source below `root`/`layers`, and the versions of the compiler."""
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.version}".encode())
-    for package in packages:
-        for path in sorted((root / package).rglob("*.py")):
+    for layer in layers:
+        for path in sorted((root / layer).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -52,21 +53,21 @@ def private_folder(path: Path) -> bool:
     return ours and not status.st_mode & 0o022 and os.access(path, os.W_OK | os.X_OK)
 
 
-def cache_folder() -> str:
-    """Content-addressed folder of the compiled kernels; a fresh temporary one where ours is not usable."""
+@functools.cache
+def cache_folder(layer: str) -> str:
+    """Content-addressed folder for the kernels of `layer`; a fresh temporary one where ours is not usable."""
+    below = LAYERS[: LAYERS.index(layer) + 1] if layer in LAYERS else LAYERS
     try:
-        path = user_cache_folder() / f"kernels-{source_digest(Path(__file__).parents[1])}"
+        path = user_cache_folder() / f"kernels-{below[-1]}-{source_digest(Path(__file__).parents[1], below)}"
     except RuntimeError:  # no home directory
         return tempfile.mkdtemp(prefix="srlrace-kernels-")
     return str(path) if private_folder(path) else tempfile.mkdtemp(prefix="srlrace-kernels-")
 
 
-CACHE_FOLDER = cache_folder()
-
-
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
     # The folder is numba-wide: set it for this decoration only, so that other users of numba keep theirs.
-    previous, config.CACHE_DIR = config.CACHE_DIR, CACHE_FOLDER
+    layer = function.__module__.removeprefix("srlrace.").split(".")[0]
+    previous, config.CACHE_DIR = config.CACHE_DIR, cache_folder(layer)
     try:
         return njit(cache=True, nogil=True, error_model="numpy", fastmath=set(FASTMATH), **options)(function)
     finally:

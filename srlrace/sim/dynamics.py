@@ -4,8 +4,37 @@ from __future__ import annotations
 
 from typing import Any
 
-from srlrace.sim.compile import kernel
+from srlrace.sim.compile import inline, kernel
 from srlrace.sim.quadrotor import step
+from srlrace.sim.vector import lanes, load, store
+
+
+@inline
+def load3(array: Any, row: int, start: int, count: int) -> Any:
+    """Rows `row` to `row` + 2 of a block of drones."""
+    return load(array, row, start, count), load(array, row + 1, start, count), load(array, row + 2, start, count)
+
+
+@inline
+def load4(array: Any, row: int, start: int, count: int) -> Any:
+    """Rows `row` to `row` + 3 of a block of drones."""
+    x, y, z = load3(array, row, start, count)
+    return x, y, z, load(array, row + 3, start, count)
+
+
+@inline
+def store3(array: Any, row: int, start: int, count: int, value: Any) -> None:
+    """Write rows `row` to `row` + 2 of a block of drones."""
+    store(array, row, start, count, value[0])
+    store(array, row + 1, start, count, value[1])
+    store(array, row + 2, start, count, value[2])
+
+
+@inline
+def store4(array: Any, row: int, start: int, count: int, value: Any) -> None:
+    """Write rows `row` to `row` + 3 of a block of drones."""
+    store3(array, row, start, count, value)
+    store(array, row + 3, start, count, value[3])
 
 
 @kernel
@@ -18,18 +47,17 @@ def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, subs
     airframe: `Airframe.pack`. All of one float type, C-contiguous.
     """
     h = dt / substeps
-    for i in range(state.shape[1]):
-        p = state[0, i], state[1, i], state[2, i]
-        v = state[3, i], state[4, i], state[5, i]
-        q = state[6, i], state[7, i], state[8, i], state[9, i]
-        w = state[10, i], state[11, i], state[12, i]
-        f = state[13, i], state[14, i], state[15, i], state[16, i]
-        u = command[0, i], command[1, i], command[2, i], command[3, i]
-        drag = plant[0, i], plant[1, i], plant[2, i]
+    n = state.shape[1]
+    for start in range(0, n, lanes(state)):
+        count = n - start
+        p, v = load3(state, 0, start, count), load3(state, 3, start, count)
+        q, w, f = load4(state, 6, start, count), load3(state, 10, start, count), load4(state, 13, start, count)
+        asked = load4(command, 0, start, count)
+        drag, gain = load3(plant, 0, start, count), load(plant, 3, start, count)
         for _ in range(substeps):
-            p, v, q, w, f = step(p, v, q, w, f, u, drag, plant[3, i], airframe, h)
-        state[0, i], state[1, i], state[2, i] = p
-        state[3, i], state[4, i], state[5, i] = v
-        state[6, i], state[7, i], state[8, i], state[9, i] = q
-        state[10, i], state[11, i], state[12, i] = w
-        state[13, i], state[14, i], state[15, i], state[16, i] = f
+            p, v, q, w, f = step(p, v, q, w, f, asked, drag, gain, airframe, h)
+        store3(state, 0, start, count, p)
+        store3(state, 3, start, count, v)
+        store4(state, 6, start, count, q)
+        store3(state, 10, start, count, w)
+        store4(state, 13, start, count, f)
