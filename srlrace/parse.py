@@ -55,7 +55,7 @@ def show(value: Any) -> str:
 
 
 @cache
-def kinds(schema: type) -> Mapping[str, Any]:
+def kinds(schema: Any) -> Mapping[str, Any]:
     """The resolved type of each field of a dataclass."""
     return get_type_hints(schema)
 

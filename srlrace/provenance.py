@@ -1,0 +1,68 @@
+"""Where a run came from: command, versions, source and machine."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from srlrace import __version__
+
+PACKAGES = ("numpy", "numba", "torch", "stable-baselines3", "gymnasium", "hydra-core")  # what results depend on
+
+
+def provenance(argv: Sequence[str]) -> dict[str, Any]:
+    """What ``run.json`` records about the origin of a run; imports none of the packages it names."""
+    return {
+        "argv": list(argv),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"srlrace": __version__, "python": platform.python_version(), **_versions()},
+        "git": git_state(),
+        "cpu": cpu_name(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "platform": platform.platform(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = ""
+    return found
+
+
+def git_state() -> dict[str, str] | None:
+    """The source's commit, and a hash of what differs from it ("" for nothing); None outside a checkout."""
+    if _git("ls-files", "--error-unmatch", "__init__.py") is None:
+        return None
+    commit, changes = _git("rev-parse", "HEAD"), _git("diff", "--no-ext-diff", "HEAD", "--", ":/srlrace", ":/conf")
+    if commit is None or changes is None:
+        return None
+    return {"commit": commit.decode().strip(), "dirty": hashlib.sha256(changes).hexdigest()[:16] if changes else ""}
+
+
+def _git(*arguments: str) -> bytes | None:
+    command = ["git", "-C", str(Path(__file__).parent), *arguments]
+    try:
+        return subprocess.run(command, capture_output=True, check=True, timeout=10).stdout
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def cpu_name() -> str:
+    """The processor's model, as well as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(models, platform.processor() or platform.machine())
