@@ -1,1 +1,1 @@
-"""Tracks, obstacles, level generators and the geometric queries of the race. Knows no drone, no reward, no I/O of runs."""
+"""Tracks, obstacles, forest levels, and geometric queries on them: no drone, no reward, no files of runs."""
