@@ -1,0 +1,119 @@
+"""Read the evaluated runs below a folder; what cannot be read is reported, never trusted and never fatal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from srlrace.report.experiments import SUITES
+from srlrace.runs import RunError, RunFolder, State, list_runs
+from srlrace.schema import AlgoConfig, Config
+
+EPISODES_LIMIT = 64_000_000  # bytes: half a million episodes; more than this is not an evaluation
+CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts
+OUTCOMES = ("finished", "timeout", *CRASHES)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One suite flown by one run, one entry per episode; arrays are (episodes,)."""
+
+    suite: str
+    seed: int  # evaluation seed; -1 where the summary does not say
+    horizon_s: float  # time limit of an episode
+    newest: float  # when it was written, s since the epoch
+    episode: npt.NDArray[np.int64]
+    map_seed: npt.NDArray[np.int64]
+    finished: npt.NDArray[np.bool_]
+    crashed: npt.NDArray[np.bool_]
+    time_s: npt.NDArray[np.float64]  # lap time on lap tracks, else time to the last waypoint; NaN unless finished
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run folder, as far as the report needs it."""
+
+    id: str
+    path: Path
+    config: Config
+    state: State
+    evaluations: dict[str, Evaluation] = field(default_factory=dict)
+
+    @property
+    def preset(self) -> tuple[object, ...]:
+        """Everything that makes up the method and its task: all of the configuration but seed, budget and label."""
+        return preset(self.config)
+
+    @property
+    def algo(self) -> AlgoConfig:
+        """The algorithm and its budget."""
+        return self.config.algo
+
+
+def preset(config: Config) -> tuple[object, ...]:
+    """Return the parts of a configuration that a table's row fixes: a run with one weight changed is another method."""
+    return tuple(value for key, value in vars(config).items() if key not in ("seed", "name", "algo"))
+
+
+def collect(root: Path) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+    """Return the runs below ``root`` and, for every file that could not be used, a line saying why."""
+    runs, problems = [], []
+    for folder in list_runs(root):
+        try:
+            run = Run(folder.id, folder.path, folder.load_config(), folder.state)
+        except RunError as error:
+            problems.append(str(error))
+            continue
+        problems += _read_suites(folder, run)
+        runs.append(run)
+    return tuple(runs), tuple(problems)
+
+
+def _read_suites(folder: RunFolder, run: Run) -> list[str]:
+    problems = []
+    for suite in SUITES:
+        if not (folder.path / "eval" / suite / "episodes.csv").is_file():
+            continue
+        try:
+            run.evaluations[suite] = read_evaluation(folder, suite, run.config)
+        except (OSError, ValueError) as error:
+            problems.append(f"{run.id}: eval/{suite} cannot be read: {error}")
+    return problems
+
+
+def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation:
+    """Read ``eval/<suite>``; raises OSError or ValueError with what is wrong."""
+    path = folder.file("eval", suite, "episodes.csv")
+    if path.stat().st_size > EPISODES_LIMIT:
+        raise ValueError(f"episodes.csv is larger than {EPISODES_LIMIT // 1_000_000} MB")
+    timed = "lap_time_s" if config.env.laps else "time_s"
+    table = pd.read_csv(path, usecols=["episode", "map", "outcome", timed])
+    if table.empty:
+        raise ValueError("no episode")
+    unknown = set(table["outcome"]) - set(OUTCOMES)
+    if unknown:
+        raise ValueError(f"unknown outcome {min(map(str, unknown))[:40]!r}")
+    finished = (table["outcome"] == "finished").to_numpy()
+    time_s = pd.to_numeric(table[timed]).to_numpy(dtype=np.float64)
+    if not (np.isfinite(time_s[finished]) & (time_s[finished] > 0)).all():
+        raise ValueError(f"a finished episode without {timed}")
+    return Evaluation(
+        suite=suite,
+        seed=_evaluation_seed(folder, suite),
+        horizon_s=config.env.horizon,
+        newest=path.stat().st_mtime,
+        episode=table["episode"].to_numpy(dtype=np.int64),
+        map_seed=table["map"].to_numpy(dtype=np.int64),
+        finished=finished,
+        crashed=table["outcome"].isin(CRASHES).to_numpy(),
+        time_s=np.where(finished, time_s, np.nan),
+    )
+
+
+def _evaluation_seed(folder: RunFolder, suite: str) -> int:
+    seed = folder.evaluations.get(suite, {}).get("evaluation_seed", -1)
+    return seed if isinstance(seed, int) else -1

@@ -1,0 +1,124 @@
+"""Build the report: which runs stand in which cell of which table, and what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from srlrace.config import method_name
+from srlrace.report.collect import Run, preset
+from srlrace.report.experiments import Experiment, Paper, Row
+from srlrace.report.groups import Group, common_group, groups
+from srlrace.report.model import Cell, Comparison, OtherRun, Report, Table
+from srlrace.report.notes import cell_notes, table_notes
+from srlrace.report.numbers import cell_numbers, paired_difference
+from srlrace.report.reference import reference_time
+from srlrace.runs import State
+from srlrace.schema import Config
+
+Compose = Callable[[tuple[str, ...]], Config]
+
+
+class Place(NamedTuple):
+    """A cell to be filled, and the groups of runs that could fill it, best first."""
+
+    row: Row
+    suite: str
+    config: Config
+    candidates: list[Group]
+
+
+def build_report(
+    runs: Sequence[Run], experiments: Sequence[Experiment], paper: Paper, compose: Compose, problems: Sequence[str] = ()
+) -> Report:
+    """Fill every table from the runs; ``compose`` turns a row's overrides into its configuration."""
+    tables = tuple(_table(runs, experiment, paper, compose) for experiment in experiments if experiment.report)
+    used = {(run, cell.suite) for table in tables for cell in table.cells for run in cell.runs}
+    others = tuple(
+        OtherRun(run.id, method_name(run.config), suite, cell_numbers([(run.config.seed, evaluation)]))
+        for run in runs
+        for suite, evaluation in run.evaluations.items()
+        if (run.id, suite) not in used
+    )
+    return Report(tables, others, tuple(problems))
+
+
+def _table(runs: Sequence[Run], experiment: Experiment, paper: Paper, compose: Compose) -> Table:
+    places = [_place(runs, row, suite, compose) for row in experiment.rows for suite in experiment.suites]
+    chosen = _choose(places, experiment)
+    cells = tuple(_cell(runs, experiment, paper, place, group) for place, group in zip(places, chosen, strict=True))
+    return Table(
+        experiment, cells, _comparisons(experiment, places, chosen), table_notes(experiment, paper, chosen)
+    )
+
+
+def _place(runs: Sequence[Run], row: Row, suite: str, compose: Compose) -> Place:
+    config = compose(row.overrides)
+    return Place(row, suite, config, groups(runs, preset(config), suite))
+
+
+def _choose(places: Sequence[Place], experiment: Experiment) -> list[Group | None]:
+    """Take each place's best group; paired rows take the same algorithm on both sides where they can."""
+    chosen = [next(iter(place.candidates), None) for place in places]
+    for first, second in _pairs(experiment):
+        common = common_group(places[first].candidates, places[second].candidates)
+        if common:
+            chosen[first], chosen[second] = common
+    return chosen
+
+
+def _pairs(experiment: Experiment) -> list[tuple[int, int]]:
+    """Return the places that are compared: consecutive rows, suite by suite."""
+    if not experiment.paired:
+        return []
+    rows, suites = len(experiment.rows), len(experiment.suites)
+    return [(row * suites + suite, (row + 1) * suites + suite) for row in range(0, rows, 2) for suite in range(suites)]
+
+
+def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Place, group: Group | None) -> Cell:
+    return Cell(
+        environment=_environment(place),
+        method=place.row.method,
+        suite=place.suite,
+        paper=paper.cell(experiment, place.row, place.suite),
+        command=_command(runs, experiment, place),
+        numbers=cell_numbers(group.evaluations) if group else None,
+        t_ref_s=reference_time(place.config),
+        runs=tuple(group.runs[seed].id for seed in sorted(group.runs)) if group else (),
+        notes=cell_notes(experiment, place.candidates, group) if group else (),
+    )
+
+
+def _environment(place: Place) -> str:
+    level = place.suite.removeprefix("level")
+    return place.row.environment if level == place.suite else f"{place.row.environment}, unseen level {level}"
+
+
+def _command(runs: Sequence[Run], experiment: Experiment, place: Place) -> str:
+    """Return what fills the cell: an evaluation if finished runs wait for one, else the sweep."""
+    wanted = preset(place.config)
+    waiting = [
+        run.id
+        for run in runs
+        if run.state is State.FINISHED and place.suite not in run.evaluations and run.preset == wanted
+    ]
+    if waiting and not place.candidates:
+        return f"srlrace eval {' '.join(waiting)} --episodes {experiment.episodes} --suite {place.suite}"
+    return f"srlrace sweep {experiment.name}"
+
+
+def _comparisons(
+    experiment: Experiment, places: Sequence[Place], chosen: Sequence[Group | None]
+) -> tuple[Comparison, ...]:
+    found = []
+    for first, second in _pairs(experiment):
+        a, b = chosen[first], chosen[second]
+        if a is None or b is None or a.algo != b.algo:
+            continue
+        seeds = sorted(a.runs.keys() & b.runs.keys())
+        evaluations = [(a.runs[seed].evaluations[a.suite], b.runs[seed].evaluations[b.suite]) for seed in seeds]
+        result = paired_difference(evaluations, experiment.paired)
+        if result:
+            methods = places[first].row.method, places[second].row.method
+            found.append(Comparison(_environment(places[first]), *methods, experiment.paired, *result))
+    return tuple(found)

@@ -1,0 +1,154 @@
+"""Which runs fill which cell, and the numbers in it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from srlrace.report.collect import Run
+from srlrace.report.experiments import Experiment, Paper, PaperCell, Row
+from srlrace.report.model import Cell, Report
+from srlrace.report.stats import clopper_pearson, wilson
+from srlrace.report.tables import build_report
+from srlrace.runs import State
+
+SRL = Row("Forest", "srl", ("env=forest",), "ours")
+NO_SAFETY = Row("Forest", "no safety", ("env=forest", "reward=no_safety"))
+PAPER = Paper({"table": {"ours": {"train_map": PaperCell(7.31, 0.0)}}}, 51)
+
+
+def experiment(*rows: Row, **settings: object) -> Experiment:
+    return Experiment("table", "A table", rows, **({"suites": ("train_map",), "episodes": 4} | settings))  # type: ignore[arg-type]
+
+
+def report(lab: SimpleNamespace, runs: list[Run], *rows: Row, **settings: object) -> Report:
+    return build_report(runs, [experiment(*rows, **settings)], PAPER, lab.compose)
+
+
+def only_cell(built: Report) -> Cell:
+    (table,) = built.tables
+    (cell,) = table.cells
+    return cell
+
+
+def test_a_cell_without_runs_names_its_sweep_and_the_papers_numbers(lab: SimpleNamespace) -> None:
+    cell = only_cell(report(lab, [], SRL))
+    assert cell.numbers is None
+    assert cell.command == "srlrace sweep table"
+    assert cell.paper == PaperCell(7.31, 0.0)
+
+
+def test_a_trained_run_that_waits_for_its_evaluation_is_named(lab: SimpleNamespace) -> None:
+    waiting = lab.run(lab.compose(SRL.overrides))
+    cell = only_cell(report(lab, [waiting], SRL))
+    assert cell.command == f"srlrace eval {waiting.id} --episodes 4 --suite train_map"
+
+
+def test_means_are_taken_over_seeds_not_over_pooled_flights(lab: SimpleNamespace) -> None:
+    config = lab.compose(SRL.overrides)
+    runs = [
+        lab.run(lab.with_seed(config, 0), lab.evaluation([5.0, 5.0, 5.0, None])),
+        lab.run(lab.with_seed(config, 1), lab.evaluation([7.0, None, None, None])),
+    ]
+    numbers = only_cell(report(lab, runs, SRL)).numbers
+    assert numbers is not None
+    assert numbers.time_s is not None
+    assert numbers.time_s.value == pytest.approx(6.0)  # pooled flights would give 5.5
+    assert numbers.crash_pct.value == pytest.approx(50.0)
+    assert numbers.penalised_time_s == pytest.approx(((15 + 20) / 4 + (7 + 60) / 4) / 2)
+    assert (numbers.finished, numbers.crashed, numbers.episodes, numbers.seeds) == (4, 4, 8, (0, 1))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"reward": {"body_rate": 0.002}},
+        {"quad": {"mass": 0.8}},
+        {"curriculum": {"gate_starts": 0.123}},
+        {"level": {"map_seed": 3}},
+        {"baseline": "song"},
+    ],
+)
+def test_one_changed_setting_makes_another_method(lab: SimpleNamespace, change: dict[str, object]) -> None:
+    config = lab.compose(SRL.overrides)
+    for part, value in change.items():
+        old = getattr(config, part)
+        config = replace(config, **{part: replace(old, **value) if isinstance(value, dict) else value})
+    built = report(lab, [lab.run(config, lab.evaluation([5.0]))], SRL)
+    assert only_cell(built).numbers is None
+    assert [other.run for other in built.others] == [lab.run(config).id]
+
+
+def test_a_label_does_not_make_another_method_nor_another_seed(lab: SimpleNamespace) -> None:
+    config = lab.compose(SRL.overrides)
+    plain, labelled = lab.run(config, lab.evaluation([5.0])), lab.run(replace(config, name="mine"), lab.evaluation([9.0]))
+    assert only_cell(report(lab, [labelled], SRL)).runs == (labelled.id,)
+    assert only_cell(report(lab, [labelled, plain], SRL)).runs == (plain.id,)
+
+
+def test_budgets_are_never_mixed_and_the_others_are_named(lab: SimpleNamespace) -> None:
+    config = lab.compose(SRL.overrides)
+    small = [lab.run(lab.with_seed(config, seed, total_steps=1_000_000), lab.evaluation([9.0])) for seed in (0, 1)]
+    large = [lab.run(lab.with_seed(config, seed, total_steps=2_000_000), lab.evaluation([5.0])) for seed in (0, 1)]
+    built = report(lab, small + large, SRL)
+    assert only_cell(built).runs == tuple(each.id for each in large)
+    assert any("2 M steps" in note and "1 M steps" in note for note in only_cell(built).notes)
+    assert {other.run for other in built.others} == {each.id for each in small}
+    assert only_cell(report(lab, [*small, large[0]], SRL)).runs == tuple(each.id for each in small)
+
+
+def test_an_unfinished_run_fills_no_cell_but_is_listed(lab: SimpleNamespace) -> None:
+    stopped = lab.run(lab.compose(SRL.overrides), lab.evaluation([5.0]), state=State.INTERRUPTED)
+    built = report(lab, [stopped], SRL)
+    assert only_cell(built).numbers is None
+    assert [other.run for other in built.others] == [stopped.id]
+
+
+def test_one_seed_has_a_within_run_interval_and_says_so(lab: SimpleNamespace) -> None:
+    cell = only_cell(report(lab, [lab.run(lab.compose(SRL.overrides), lab.evaluation([5.0, 6.0, None, 5.0]))], SRL))
+    assert cell.numbers is not None
+    crash = cell.numbers.crash_pct
+    assert (crash.low / 100, crash.high / 100) == pytest.approx(wilson(1, 4))
+    assert any("within-run only" in note for note in cell.notes)
+
+
+def test_no_crash_in_five_seeds_is_bounded_by_one_run_not_by_the_pool(lab: SimpleNamespace) -> None:
+    config = lab.compose(SRL.overrides)
+    runs = [lab.run(lab.with_seed(config, seed), lab.evaluation([5.0] * 1000)) for seed in range(5)]
+    numbers = only_cell(report(lab, runs, SRL)).numbers
+    assert numbers is not None
+    assert numbers.crash_pct.high / 100 == pytest.approx(clopper_pearson(0, 1000).high)
+
+
+def test_flights_on_unseen_maps_are_clustered_by_map(lab: SimpleNamespace) -> None:
+    """Ten maps, each always or never flown: ten trials, not a thousand."""
+    times = [5.0 if i % 10 else None for i in range(1000)]
+    flown = lab.evaluation(times, suite="level1", maps=[i % 10 for i in range(1000)])
+    numbers = only_cell(report(lab, [lab.run(lab.compose(SRL.overrides), flown)], SRL, suites=("level1",))).numbers
+    assert numbers is not None
+    assert numbers.crash_pct.value == pytest.approx(10.0)
+    assert numbers.crash_pct.high >= 30.0
+    assert wilson(100, 1000).high < 0.13
+
+
+def test_paired_rows_take_the_same_budget_and_common_seeds(lab: SimpleNamespace) -> None:
+    on, off = lab.compose(SRL.overrides), lab.compose(NO_SAFETY.overrides)
+    runs = [lab.run(lab.with_seed(on, seed), lab.evaluation([5.0 + seed])) for seed in (0, 1, 2)]
+    runs += [lab.run(lab.with_seed(on, seed, total_steps=10**9), lab.evaluation([1.0])) for seed in range(5)]
+    runs += [lab.run(lab.with_seed(off, seed), lab.evaluation([6.0 + seed])) for seed in (1, 2, 3)]
+    (table,) = report(lab, runs, SRL, NO_SAFETY, paired="time").tables
+    (comparison,) = table.comparisons
+    assert comparison.seeds == 2
+    assert comparison.difference.value == pytest.approx(-1.0)
+    assert (comparison.difference.low, comparison.difference.high) == pytest.approx((-1.0, -1.0))
+    assert len(table.cells[0].runs) == 3
+
+
+def test_a_run_that_never_finishes_has_no_time(lab: SimpleNamespace) -> None:
+    cell = only_cell(report(lab, [lab.run(lab.compose(SRL.overrides), lab.evaluation([None] * 4))], SRL))
+    assert cell.numbers is not None
+    assert cell.numbers.time_s is None
+    assert cell.numbers.crash_pct.value == 100.0
+    assert cell.numbers.penalised_time_s == 20.0
