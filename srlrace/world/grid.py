@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srlrace.sim.compile import inline, kernel
-from srlrace.world.lattice import LAST, ORIGIN, PITCH, RADIUS, Floats, Ints, axis_centre, squared_distance
+from srlrace.world.lattice import LAST, ORIGIN, PITCH, RADIUS, Floats, Ints, Real, axis_centre, squared_distance
 
 CELL = 1.0  # m, edge of a cell in x and y, and in z where the obstacles are not all trees
 TILE = 4  # cells along the edge of a tile
@@ -34,6 +34,8 @@ MARGIN = 0.6  # m, inflation for the swept list: a chord of twice this fits arou
 OUTSIDE = 2.0  # m, the grid goes on beyond the world's bounds: a drone leaving it is still served exactly
 ROUNDING = 1e-3  # m, inflation of the near list against float32 rounding of positions
 RAY_INFLATION = 1.0  # m, largest inflation of obstacles that tiles are good for
+Offsets = NDArray[np.int64]
+
 HEADER = 8
 INV = 3  # geometry: [low x y z, 1 / cell x y z]
 
@@ -54,7 +56,7 @@ def is_flat(lattices: NDArray[np.float64]) -> bool:
 
 
 @inline
-def axis_bounds(lattices: Floats, i: int, axis: int, centre: Floats, half: Floats) -> tuple[float, float]:
+def axis_bounds(lattices: Floats, i: int, axis: int, centre: Floats, half: Floats) -> tuple[Real, Real]:
     """Smallest and largest squared distance along one axis, over an interval, to the nearest layer."""
     low, high = centre - half, centre + half
     a, b = low - axis_centre(low, lattices, i, axis), high - axis_centre(high, lattices, i, axis)
@@ -70,7 +72,7 @@ def axis_bounds(lattices: Floats, i: int, axis: int, centre: Floats, half: Float
 
 
 @inline
-def bounds(lattices: Floats, i: int, centre: Floats, half: Floats) -> tuple[float, float]:
+def bounds(lattices: Floats, i: int, centre: Floats, half: Floats) -> tuple[Real, Real]:
     """Smallest and largest distance to lattice `i` over a box."""
     low = high = 0.0
     for axis in range(3):
@@ -81,7 +83,7 @@ def bounds(lattices: Floats, i: int, centre: Floats, half: Floats) -> tuple[floa
 
 
 @inline
-def largest_difference(lattices: Floats, j: int, i: int, centre: Floats, half: Floats) -> float:
+def largest_difference(lattices: Floats, j: int, i: int, centre: Floats, half: Floats) -> Real:
     """Upper bound over a box of (squared distance to `j` - squared distance to `i`)."""
     total = 0.0
     for axis in range(3):
@@ -97,7 +99,7 @@ def largest_difference(lattices: Floats, j: int, i: int, centre: Floats, half: F
 
 
 @inline
-def select(lattices: Floats, pool: Ints, nearest: int, reach: float, centre: Floats, half: Floats, prune: bool) -> Ints:
+def select(lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Floats, half: Floats, prune: bool) -> Ints:
     """Obstacles of `pool` a box needs: among the `nearest` within `reach`, or nearest by surface; sorted."""
     m = len(pool)
     low, high, key = np.empty(m), np.empty(m), np.empty(m)
@@ -139,7 +141,7 @@ def select(lattices: Floats, pool: Ints, nearest: int, reach: float, centre: Flo
 
 
 @inline
-def within(lattices: Floats, pool: Ints, reach: float, centre: Floats, half: Floats) -> Ints:
+def within(lattices: Floats, pool: Ints, reach: Real, centre: Floats, half: Floats) -> Ints:
     """Obstacles with a surface within `reach` of a box, nearest first."""
     result, key = np.empty(len(pool), np.int32), np.empty(len(pool))
     count = 0
@@ -159,8 +161,8 @@ def map_records(
     size: Floats,
     shape: tuple[int, int, int],
     nearest: int,
-    reach: float,
-) -> tuple[Ints, Ints, Ints]:
+    reach: Real,
+) -> tuple[Offsets, Offsets, Ints]:
     """Records of one map, whose obstacles are rows `first` to `last`: (cell offsets, tile offsets, records)."""
     nx, ny, nz = shape
     tiles_x, tiles_y = (nx + TILE - 1) // TILE, (ny + TILE - 1) // TILE

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from srlrace.sim.compile import inline
 from srlrace.world.obstacles import Obstacle
 
+Real = Any  # one number of the width of the field's arrays
 Floats = NDArray[Any]  # float32 or float64
 Ints = NDArray[np.int32]
 
@@ -42,7 +43,7 @@ def pack(obstacles: Sequence[Obstacle]) -> NDArray[np.float64]:
 
 
 @inline
-def axis_index(value: float, lattices: Floats, i: int, axis: int) -> float:
+def axis_index(value: Real, lattices: Floats, i: int, axis: int) -> Real:
     """Index of the lattice layer nearest to a coordinate, as a float."""
     index = np.floor((value - lattices[i, ORIGIN + axis]) * lattices[i, INVERSE_PITCH + axis] + HALF)
     index = index if index > ZERO else ZERO
@@ -50,13 +51,13 @@ def axis_index(value: float, lattices: Floats, i: int, axis: int) -> float:
 
 
 @inline
-def axis_centre(value: float, lattices: Floats, i: int, axis: int) -> float:
+def axis_centre(value: Real, lattices: Floats, i: int, axis: int) -> Real:
     """Coordinate of the lattice layer nearest to a coordinate."""
     return lattices[i, ORIGIN + axis] + lattices[i, PITCH + axis] * axis_index(value, lattices, i, axis)
 
 
 @inline
-def squared_distance(x: float, y: float, z: float, lattices: Floats, i: int) -> float:
+def squared_distance(x: Real, y: Real, z: Real, lattices: Floats, i: int) -> Real:
     """Squared distance from a point to the nearest sphere centre of lattice `i`."""
     dz = z - axis_centre(z, lattices, i, 2)
     if lattices[i, STACKED] > ZERO:
@@ -68,8 +69,8 @@ def squared_distance(x: float, y: float, z: float, lattices: Floats, i: int) -> 
 
 @inline
 def segment_squared_distance(
-    x0: float, y0: float, z0: float, x1: float, y1: float, z1: float, lattices: Floats, i: int
-) -> float:
+    x0: Real, y0: Real, z0: Real, x1: Real, y1: Real, z1: Real, lattices: Floats, i: int
+) -> Real:
     """Squared distance from a segment to the nearest sphere centre of lattice `i`, exact.
 
     Rounding to the nearest layer is monotone, so the sphere nearest to any point of the segment has indices

@@ -22,6 +22,7 @@ from srlrace.world.lattice import (
     ZERO,
     Floats,
     Ints,
+    Real,
     axis_centre,
     segment_squared_distance,
     squared_distance,
@@ -33,16 +34,16 @@ MAX_CHORD = np.float32(1000.0)  # m, longer chords are no flight: a diverged sta
 
 
 @inline
-def grid_index(value: float, axis: int, grid: Ints, geometry: Floats) -> int:
+def grid_index(value: Real, axis: int, grid: Ints, geometry: Floats) -> int:
     """Cell of a coordinate; clamped as a float, which takes NaN and infinity as well."""
     position = (value - geometry[axis]) * geometry[INV + axis]
     last = np.float32(grid[axis] - 1)
     position = position if position > ZERO else ZERO
-    return np.int64(position if position < last else last)
+    return int(position if position < last else last)
 
 
 @inline
-def cell_record(x: float, y: float, z: float, map_index: int, grid: Ints, geometry: Floats) -> int:
+def cell_record(x: Real, y: Real, z: Real, map_index: int, grid: Ints, geometry: Floats) -> int:
     """Where the record of the point's cell starts in `grid`."""
     ix, iy = grid_index(x, 0, grid, geometry), grid_index(y, 1, grid, geometry)
     iz = grid_index(z, 2, grid, geometry)
@@ -51,17 +52,17 @@ def cell_record(x: float, y: float, z: float, map_index: int, grid: Ints, geomet
 
 @inline
 def nearest(
-    x: float,
-    y: float,
-    z: float,
+    x: Real,
+    y: Real,
+    z: Real,
     map_index: int,
     lattices: Floats,
     grid: Ints,
     geometry: Floats,
-    reach: float,
+    reach: Real,
     distance_out: Floats,
     index_out: Ints,
-) -> tuple[int, float]:
+) -> tuple[int, Real]:
     """Distances (to centres) and lattice rows of the nearest obstacles, closest first.
 
     Fills `distance_out` (N,) and `index_out` (N,), padded with `reach` and -1. Returns how many were within
@@ -98,24 +99,24 @@ def nearest(
 
 
 @inline
-def nearest_centre(i: int, x: float, y: float, z: float, lattices: Floats) -> tuple[float, float, float]:
+def nearest_centre(i: int, x: Real, y: Real, z: Real, lattices: Floats) -> tuple[Real, Real, Real]:
     """Centre of the sphere of obstacle `i` nearest to a point."""
     return axis_centre(x, lattices, i, 0), axis_centre(y, lattices, i, 1), axis_centre(z, lattices, i, 2)
 
 
 @inline
 def swept_gap(
-    x0: float,
-    y0: float,
-    z0: float,
-    x1: float,
-    y1: float,
-    z1: float,
+    x0: Real,
+    y0: Real,
+    z0: Real,
+    x1: Real,
+    y1: Real,
+    z1: Real,
     map_index: int,
     lattices: Floats,
     grid: Ints,
     geometry: Floats,
-) -> float:
+) -> Real:
     """Smallest distance from a chord to any obstacle's surface (negative: the chord cuts it), exact.
 
     The chord is cut in pieces of at most `PIECE`; the swept list of the cell of a piece's middle covers it. The
@@ -151,15 +152,15 @@ def swept_gap(
 
 @inline
 def cast_rays(
-    x: float,
-    y: float,
-    z: float,
+    x: Real,
+    y: Real,
+    z: Real,
     map_index: int,
     lattices: Floats,
     grid: Ints,
     geometry: Floats,
-    inflation: float,
-    reach: float,
+    inflation: Real,
+    reach: Real,
     directions: Floats,
     out: Floats,
 ) -> None:
@@ -202,8 +203,8 @@ def cast_rays(
 
 @inline
 def pass_waypoint(
-    x0: float, y0: float, z0: float, x1: float, y1: float, z1: float, wx: float, wy: float, wz: float, radius: float
-) -> float:
+    x0: Real, y0: Real, z0: Real, x1: Real, y1: Real, z1: Real, wx: Real, wy: Real, wz: Real, radius: Real
+) -> Real:
     """Share of the chord, 0 to 1, after which it first enters the ball around a waypoint; -1 if it never does."""
     ux, uy, uz = x1 - x0, y1 - y0, z1 - z0
     px, py, pz = x0 - wx, y0 - wy, z0 - wz
