@@ -1,0 +1,1 @@
+"""Learning: PPO on the race, policy files, checkpoints that resume exactly."""

@@ -1,0 +1,73 @@
+"""Checkpoints: the complete state of a training, written so that a kill at any moment loses nothing.
+
+Each generation is two files, ``<steps>.safetensors`` and ``<steps>.json``. The JSON file is written last
+and carries the SHA-256 of the other: a generation counts only when both agree. The two newest
+generations are kept, so a file that was damaged later still leaves the one before it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from srlrace.files import FileError, atomic_write, read_json, read_limited
+from srlrace.learn.tensors import MAX_BYTES, TensorFileError, pack, unpack
+
+logger = logging.getLogger(__name__)
+
+KEPT = 2  # generations
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """One complete state: arrays, and what is said about them."""
+
+    steps: int
+    arrays: dict[str, NDArray[Any]]
+    facts: dict[str, Any]
+
+
+def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
+    """Write a generation and drop those that are no longer needed."""
+    folder.mkdir(exist_ok=True)
+    data = pack(checkpoint.arrays, {})
+    stem = f"{checkpoint.steps:015d}"
+    atomic_write(folder / f"{stem}.safetensors", data)
+    seal = {"steps": checkpoint.steps, "sha256": hashlib.sha256(data).hexdigest(), "facts": checkpoint.facts}
+    atomic_write(folder / f"{stem}.json", json.dumps(seal))
+    keep = {path.stem for path in sorted(folder.glob("*.json"))[-KEPT:]}
+    for path in folder.iterdir():
+        if path.suffix in {".json", ".safetensors"} and path.stem not in keep:
+            path.unlink(missing_ok=True)
+
+
+def load_generation(seal_path: Path) -> Checkpoint:
+    """Load one generation; `TensorFileError` says what is wrong with it."""
+    try:
+        seal = read_json(seal_path)
+        digest, steps, facts = str(seal["sha256"]), int(seal["steps"]), dict(seal["facts"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise TensorFileError(f"{seal_path}: {error}") from None
+    path = seal_path.with_suffix(".safetensors")
+    data = read_limited(path, MAX_BYTES)
+    if hashlib.sha256(data).hexdigest() != digest:
+        raise TensorFileError(f"{path}: checksum does not match")
+    return Checkpoint(steps, unpack(data, str(path))[0], facts)
+
+
+def load_checkpoint(folder: Path) -> Checkpoint | None:
+    """Return the newest complete state, or None; damaged generations are named in a warning and passed over."""
+    if not folder.is_dir():
+        return None
+    for seal_path in sorted(folder.glob("*.json"), reverse=True):
+        try:
+            return load_generation(seal_path)
+        except (FileError, OSError) as error:
+            logger.warning("checkpoint passed over, using the one before it: %s", error)
+    return None

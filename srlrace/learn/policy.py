@@ -1,0 +1,83 @@
+"""The policy network and its file.
+
+The architecture comes from the validated `Config`, the file holds weights alone (safetensors): loading
+a stranger's policy executes nothing. SB3's own ``load`` functions unpickle and are never called.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+
+from srlrace.config import AlgoConfig, Config
+from srlrace.files import atomic_write
+from srlrace.learn.tensors import TensorFileError, pack, read_arrays
+from srlrace.task.observation import observation_size
+from srlrace.task.vec_env import action_space, observation_space
+
+ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh, "elu": nn.ELU}
+FORMAT = "srlrace-policy-1"
+
+
+def policy_arguments(algo: AlgoConfig) -> dict[str, Any]:
+    """Return the keyword arguments that give SB3's actor-critic policy the configured architecture."""
+    return {
+        "net_arch": {"pi": list(algo.policy_layers), "vf": list(algo.value_layers)},
+        "activation_fn": ACTIVATIONS[algo.activation],
+        "log_std_init": algo.log_std_init,
+    }
+
+
+def build_policy(config: Config) -> ActorCriticPolicy:
+    """Build an untrained policy for ``config``, outside of any training."""
+    space = observation_space(observation_size(config.observation))
+    return ActorCriticPolicy(space, action_space(), lambda _: 0.0, **policy_arguments(config.algo))
+
+
+def state_arrays(module: nn.Module) -> dict[str, NDArray[Any]]:
+    """Return the module's parameters as numpy arrays, by name."""
+    return {name: tensor.detach().cpu().numpy() for name, tensor in module.state_dict().items()}
+
+
+def load_state(module: nn.Module, arrays: dict[str, NDArray[Any]], source: str) -> None:
+    """Load parameters strictly: same names, shapes and types, every value finite."""
+    expected = module.state_dict()
+    if set(arrays) != set(expected):
+        raise TensorFileError(f"{source}: parameters {sorted(set(arrays) ^ set(expected))[:3]} do not match the config")
+    for name, array in arrays.items():
+        if array.shape != tuple(expected[name].shape) or array.dtype != expected[name].numpy().dtype:
+            raise TensorFileError(f"{source}: {name} has shape {array.shape}, the config asks {tuple(expected[name].shape)}")
+        if not np.isfinite(array).all():
+            raise TensorFileError(f"{source}: {name} is not finite")
+    module.load_state_dict({name: torch.from_numpy(np.array(array)) for name, array in arrays.items()})
+
+
+def save_policy(policy: ActorCriticPolicy, path: Path) -> None:
+    """Write the policy's weights atomically."""
+    atomic_write(path, pack(state_arrays(policy), {"format": FORMAT}))
+
+
+def load_policy(config: Config, path: Path) -> ActorCriticPolicy:
+    """Rebuild the policy of ``config`` from its file; `TensorFileError` says why it cannot."""
+    arrays, metadata = read_arrays(path)
+    if metadata.get("format") != FORMAT:
+        raise TensorFileError(f"{path}: not a {FORMAT} file")
+    policy = build_policy(config)
+    load_state(policy, arrays, str(path))
+    policy.set_training_mode(False)
+    return policy
+
+
+def act(policy: ActorCriticPolicy, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the deterministic action (n, 4) for observations (n, d), not yet clipped."""
+    with torch.no_grad():
+        tensor = torch.from_numpy(observation)
+        latent = policy.mlp_extractor.forward_actor(policy.extract_features(tensor, policy.pi_features_extractor))
+        action: NDArray[np.float32] = policy.action_net(latent).numpy()
+    return action

@@ -1,0 +1,113 @@
+"""Stable-Baselines3's PPO on the race, and the complete state from which it continues exactly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
+
+from srlrace.config import AlgoConfig, Config
+from srlrace.learn.policy import load_state, policy_arguments, state_arrays
+from srlrace.task.vec_env import RaceVecEnv
+
+
+class LinearSchedule:
+    """A learning rate that falls linearly from ``start`` to ``end`` over the training."""
+
+    def __init__(self, start: float, end: float) -> None:
+        self.start, self.end = start, end
+
+    def __call__(self, remaining: float) -> float:
+        """Return the rate when ``remaining`` (1 to 0) of the training is left."""
+        return self.end + (self.start - self.end) * remaining
+
+
+def build_ppo(config: Config, env: RaceVecEnv) -> PPO:
+    """Build PPO as configured, seeded, on ``env``."""
+    algo: AlgoConfig = config.algo
+    torch.set_num_threads(algo.threads)
+    model = PPO(
+        "MlpPolicy",
+        env,
+        learning_rate=LinearSchedule(algo.learning_rate, algo.learning_rate_final),
+        n_steps=algo.n_steps,
+        batch_size=algo.batch_size,
+        n_epochs=algo.n_epochs,
+        gamma=algo.gamma,
+        gae_lambda=algo.gae_lambda,
+        clip_range=algo.clip_range,
+        ent_coef=algo.ent_coef,
+        vf_coef=algo.vf_coef,
+        max_grad_norm=algo.max_grad_norm,
+        policy_kwargs=policy_arguments(algo),
+        seed=config.seed,
+        device="cpu",
+    )
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    return model
+
+
+def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
+    """Return Adam's state as arrays: ``<parameter index>.<name>``."""
+    state = optimizer.state_dict()["state"]
+    return {f"{i}.{name}": value.numpy() for i, entry in state.items() for name, value in entry.items()}
+
+
+def load_optimizer(optimizer: torch.optim.Optimizer, arrays: dict[str, NDArray[Any]]) -> None:
+    """Load what `optimizer_arrays` returned."""
+    state: dict[int, dict[str, torch.Tensor]] = {}
+    for key, array in arrays.items():
+        index, name = key.split(".", 1)
+        state.setdefault(int(index), {})[name] = torch.from_numpy(np.array(array))
+    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
+def capture(model: PPO, env: RaceVecEnv) -> dict[str, NDArray[Any]]:
+    """Return everything that the rest of the training depends on, valid between two rollouts.
+
+    Policy, Adam, the random numbers of torch and numpy (SB3 shuffles minibatches with numpy's global
+    generator), the race with its streams and remembered passings, last observation, episode starts and
+    counters. The rollout buffer is empty then.
+    """
+    numpy_state = np.random.get_state(legacy=False)
+    groups = {
+        "policy": state_arrays(model.policy),
+        "optimizer": optimizer_arrays(model.policy.optimizer),
+        "race": env.race.snapshot(),
+        "random": {
+            "torch": torch.get_rng_state().numpy(),
+            "numpy": np.asarray(numpy_state["state"]["key"]),
+            "numpy_position": np.array(
+                [numpy_state["state"]["pos"], numpy_state["has_gauss"]], np.int64
+            ),
+            "numpy_gauss": np.array(numpy_state["gauss"], np.float64),
+        },
+        "loop": {
+            "last_observation": np.asarray(model._last_obs),
+            "last_episode_starts": np.asarray(model._last_episode_starts, np.bool_),
+            "counters": np.array([model.num_timesteps, model._n_updates], np.int64),
+        },
+    }
+    return {f"{group}/{name}": np.array(array) for group, arrays in groups.items() for name, array in arrays.items()}
+
+
+def reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]]) -> None:
+    """Continue from what `capture` returned."""
+
+    def group(name: str) -> dict[str, NDArray[Any]]:
+        return {key.split("/", 1)[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
+
+    load_state(model.policy, group("policy"), "checkpoint")
+    load_optimizer(model.policy.optimizer, group("optimizer"))
+    env.race.restore(group("race"))
+    random, loop = group("random"), group("loop")
+    model._last_obs = loop["last_observation"]
+    model._last_episode_starts = loop["last_episode_starts"]
+    model.num_timesteps, model._n_updates = (int(counter) for counter in loop["counters"])
+    torch.set_rng_state(torch.from_numpy(random["torch"]))
+    position, has_gauss = (int(value) for value in random["numpy_position"])
+    np.random.set_state(("MT19937", random["numpy"], position, has_gauss, float(random["numpy_gauss"])))

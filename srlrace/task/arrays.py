@@ -1,0 +1,116 @@
+"""The arrays of a race, grouped by how they change; the kernels take these groups whole.
+
+Drone index last: an array of k values for n drones has shape (k, n). Floats are float32 in training
+and evaluation; the same kernels run in float64.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[Any]
+
+# How an episode ended; FLYING while it has not.
+OUTCOMES = ("flying", "finished", "crashed", "out_of_bounds", "timeout", "diverged")
+FLYING, FINISHED, CRASHED, OUT_OF_BOUNDS, TIMEOUT, DIVERGED = range(len(OUTCOMES))
+
+# Rows of Fleet.tally: what is summed or tracked over an episode.
+TALLY = ("min_clearance", "peak_speed", "path_length", "peak_body_rate", "episode_return")
+MIN_CLEARANCE, PEAK_SPEED, PATH_LENGTH, PEAK_BODY_RATE, EPISODE_RETURN = range(len(TALLY))
+
+# Entries of Output.ledger: sums over the episodes that ended since it was last emptied.
+LEDGER = ("episodes", *OUTCOMES[1:], "finish_time", "length", "gates_passed")
+EPISODES, FINISH_TIME, LENGTH, GATES_PASSED = 0, len(OUTCOMES), len(OUTCOMES) + 1, len(OUTCOMES) + 2
+
+
+class Rules(NamedTuple):
+    """Constant during a race."""
+
+    dt: float  # s, control period
+    substeps: int
+    horizon_steps: int
+    sequence: NDArray[np.int64]  # (k,) waypoint of each target, in passing order
+    waypoints: Floats  # (w, 3) m, world, nominal
+    start: Floats  # (3,) m, world
+    bounds: Floats  # (6,) m: low x, y, z, high x, y, z
+    passing_radius: float  # m
+    arm_length: float  # m
+    keep_out: float  # m, arm length plus safety margin: closer to a surface is a crash
+    airframe: Floats  # packed `srlrace.sim.airframe.Airframe`
+    hover_thrust: float  # N per rotor
+    max_collective: float  # m/s^2
+    body_rate_max: Floats  # (3,) rad/s
+    drag: Floats  # (3,) 1/s, nominal
+    weights: Floats  # (terms,)
+    blocks: NDArray[np.int64]  # codes of the observation's blocks
+    targets: int
+    nearest: int  # N
+    reach: float  # m, range in which obstacles are seen
+    rays: int
+    directions: Floats  # (2, rays) unit vectors of the rays, world
+    ray_scale: float  # m
+    maps: int
+    start_position: float  # m, half width
+    start_velocity: float  # m/s, half width
+    start_attitude: float  # rad, half width
+    quaternion_draw: bool
+    min_height: float  # m above the floor
+    displaced: int  # waypoints displaced per episode
+    displacement: float  # m, half width
+    drag_spread: float
+    thrust_spread: float
+    gate_starts: float  # share of resets from a remembered passing
+    collision_initial: float
+    autoreset: bool
+
+
+class Fleet(NamedTuple):
+    """Changes at every step or reset: together with `Memory` the whole state of a race."""
+
+    state: Floats  # (17, n): position, velocity, quaternion, body rates, rotor thrusts
+    plant: Floats  # (4, n): drag 1/s along the body axes, thrust gain
+    waypoints: Floats  # (w, 3, n) m, world: as flown in this episode
+    passing_time: Floats  # (k, n) s since the start; 0 where not passed in this episode
+    tally: Floats  # (len(TALLY), n)
+    target: NDArray[np.int32]  # (n,) index into Rules.sequence
+    first_target: NDArray[np.int32]  # (n,) target at the start of the episode
+    steps: NDArray[np.int32]  # (n,) since the start
+    map: NDArray[np.int32]  # (n,)
+    remembered: NDArray[np.bool_]  # (n,) started from a remembered passing
+    parked: NDArray[np.bool_]  # (n,) episode over and no autoreset
+    streams: NDArray[np.uint64]  # (2, n) random numbers
+
+
+class Memory(NamedTuple):
+    """States in which earlier episodes passed a waypoint, one ring per target."""
+
+    record: Floats  # (k, capacity, record size)
+    count: NDArray[np.int64]  # (k,) passings ever written to each ring
+
+
+class Output(NamedTuple):
+    """Written by every step, read by whoever called it."""
+
+    observation: Floats  # (n, d): of the next episode where one ended
+    terminal_observation: Floats  # (n, d): valid where an episode ended
+    reward: Floats  # (n,)
+    reward_terms: Floats  # (terms, n), weighted
+    clearance: Floats  # (n,) m, smallest gap between drone and obstacle surface during the step
+    outcome: NDArray[np.int8]  # (n,) index into OUTCOMES
+    time: Floats  # (n,) s since the start, interpolated for a finish
+    final_tally: Floats  # (len(TALLY), n): valid where an episode ended
+    final_passing_time: Floats  # (k, n): valid where an episode ended
+    final_target: NDArray[np.int32]  # (n,): valid where an episode ended
+    ledger: NDArray[np.float64]  # (len(LEDGER) + terms,): real starts only
+
+
+class Scratch(NamedTuple):
+    """Room to work in, meaningless between steps."""
+
+    command: Floats  # (4, n)
+    previous: Floats  # (3, n) m, positions before the step
+    distance: Floats  # (N,) m
+    index: NDArray[np.int32]  # (N,)

@@ -1,0 +1,213 @@
+"""The batched race: state -> observe -> act -> integrate -> collide -> reward, for n drones at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from srlrace.config import Config
+from srlrace.sim.airframe import Airframe
+from srlrace.task.arrays import LEDGER, OUTCOMES, TALLY, Fleet, Floats, Memory, Output, Rules, Scratch
+from srlrace.task.observation import block_codes, observation_size
+from srlrace.task.random import make_streams
+from srlrace.task.reset import record_size
+from srlrace.task.reward import TERMS, weights
+from srlrace.task.step import reset_all, step_all
+from srlrace.world.field import ObstacleField, ray_directions
+from srlrace.world.track import target_sequence
+
+ACTION_SIZE = 4
+STATE_SIZE = 17
+
+
+@dataclass(frozen=True)
+class RaceMode:
+    """What distinguishes training from evaluation: resets, curriculum and who draws which random numbers."""
+
+    seed: int
+    members: NDArray[np.int64]  # (n,) one random stream each
+    autoreset: bool
+    curriculum: bool
+
+    @staticmethod
+    def training(seed: int, n: int) -> RaceMode:
+        """Drones that start anew whenever an episode ends, with the curriculum on."""
+        return RaceMode(seed, np.arange(n), autoreset=True, curriculum=True)
+
+    @staticmethod
+    def evaluation(seed: int, episodes: NDArray[np.int64]) -> RaceMode:
+        """One drone per episode, parked when it ends; initial conditions depend on (seed, episode) alone."""
+        return RaceMode(seed, episodes, autoreset=False, curriculum=False)
+
+
+def make_rules(config: Config, field: ObstacleField, mode: RaceMode, dtype: DTypeLike) -> Rules:
+    """Collect the constants of a race."""
+    track, level, draw = config.env, config.level, config.randomization
+    airframe = Airframe(config.quad)
+    displaced = len(track.waypoints) if draw.every_waypoint else track.displaced_waypoints
+    real = np.dtype(dtype).type
+    return Rules(
+        dt=real(config.sim.control_period),
+        substeps=config.sim.substeps,
+        horizon_steps=round(track.horizon / config.sim.control_period),
+        sequence=np.array(target_sequence(track), np.int64),
+        waypoints=np.array(track.waypoints, dtype),
+        start=np.array(track.start, dtype),
+        bounds=np.array([*track.bounds_low, *track.bounds_high], dtype),
+        passing_radius=real(track.passing_radius),
+        arm_length=real(config.quad.arm_length),
+        keep_out=real(config.quad.arm_length + level.safety_margin),
+        airframe=airframe.pack(dtype),
+        hover_thrust=real(airframe.hover_thrust),
+        max_collective=real(airframe.max_collective),
+        body_rate_max=np.array(config.quad.body_rate_max, dtype),
+        drag=np.array(airframe.drag_acceleration(), dtype),
+        weights=weights(config.reward),
+        blocks=block_codes(config.observation),
+        targets=config.observation.targets,
+        nearest=config.observation.obstacles,
+        reach=real(config.observation.range),
+        rays=config.observation.rays,
+        directions=ray_directions(config.observation.rays, dtype),
+        ray_scale=real(config.observation.ray_scale),
+        maps=field.maps,
+        start_position=real(draw.position),
+        start_velocity=real(draw.velocity),
+        start_attitude=real(draw.attitude),
+        quaternion_draw=draw.attitude_draw == "quaternion",
+        min_height=real(draw.min_height),
+        displaced=displaced,
+        displacement=real(draw.waypoint_displacement),
+        drag_spread=real(draw.drag),
+        thrust_spread=real(draw.thrust),
+        gate_starts=real(config.curriculum.gate_starts if mode.curriculum else 0.0),
+        collision_initial=real(config.curriculum.collision_initial if mode.curriculum else 1.0),
+        autoreset=mode.autoreset,
+    )
+
+
+def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
+    """Allocate the state of a race."""
+    n, targets = len(mode.members), len(rules.sequence)
+    state = np.zeros((STATE_SIZE, n), dtype)
+    state[6] = 1.0
+    return Fleet(
+        state=state,
+        plant=np.zeros((4, n), dtype),
+        waypoints=np.zeros((*rules.waypoints.shape, n), dtype),
+        passing_time=np.zeros((targets, n), dtype),
+        tally=np.zeros((len(TALLY), n), dtype),
+        target=np.zeros(n, np.int32),
+        first_target=np.zeros(n, np.int32),
+        steps=np.zeros(n, np.int32),
+        map=np.zeros(n, np.int32),
+        remembered=np.zeros(n, np.bool_),
+        parked=np.zeros(n, np.bool_),
+        streams=make_streams(mode.seed, mode.members),
+    )
+
+
+def make_output(rules: Rules, n: int, size: int, dtype: DTypeLike) -> Output:
+    """Allocate what a step writes."""
+    return Output(
+        observation=np.zeros((n, size), np.float32),
+        terminal_observation=np.zeros((n, size), np.float32),
+        reward=np.zeros(n, np.float32),
+        reward_terms=np.zeros((len(TERMS), n), np.float32),
+        clearance=np.zeros(n, dtype),
+        outcome=np.zeros(n, np.int8),
+        time=np.zeros(n, np.float64),
+        final_tally=np.zeros((len(TALLY), n), dtype),
+        final_passing_time=np.zeros((len(rules.sequence), n), dtype),
+        final_target=np.zeros(n, np.int32),
+        ledger=np.zeros(len(LEDGER) + len(TERMS), np.float64),
+    )
+
+
+class Race:
+    """n drones on one track, stepped together by compiled kernels.
+
+    ``output`` holds what the last step produced (see `srlrace.task.arrays.Output`); its arrays are
+    overwritten by the next step. ``current_weights`` are the reward's weights as the curriculum has them now.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        mode: RaceMode,
+        field: ObstacleField | None = None,
+        dtype: DTypeLike = np.float32,
+    ) -> None:
+        self.config = config
+        maps = max(config.level.maps, config.randomization.maps)
+        self.field = field or ObstacleField.build(
+            config.env, config.level, maps, config.observation.obstacles, config.observation.range
+        )
+        self.rules = make_rules(config, self.field, mode, dtype)
+        self.n = len(mode.members)
+        self.observation_size = observation_size(config.observation)
+        self.fleet = make_fleet(self.rules, mode, dtype)
+        targets = len(self.rules.sequence)
+        capacity = config.curriculum.gate_memory if self.rules.gate_starts > 0.0 else 1
+        size = record_size(len(config.env.waypoints))
+        self.memory = Memory(np.zeros((targets, capacity, size), dtype), np.zeros(targets, np.int64))
+        self.output = make_output(self.rules, self.n, self.observation_size, dtype)
+        nearest = config.observation.obstacles
+        self._scratch = Scratch(
+            np.zeros((4, self.n), dtype), np.zeros((3, self.n), dtype), np.zeros(nearest, dtype), np.zeros(nearest, np.int32)
+        )
+        self.current_weights = self.rules.weights.copy()
+        self.set_progress(0.0)
+
+    def set_progress(self, done: float) -> None:
+        """Say which share of training is done: the collision weight grows with it (`CurriculumConfig`)."""
+        initial, ramp = self.rules.collision_initial, self.config.curriculum.collision_ramp
+        grown = min(done / ramp, 1.0) if ramp > 0.0 else 1.0
+        collision = TERMS.index("collision")
+        self.current_weights[collision] = self.rules.weights[collision] * (initial + (1.0 - initial) * grown)
+
+    def reset(self) -> Floats:
+        """Start a new episode of every drone; return the observations, (n, d)."""
+        reset_all(self.fleet, self.rules, self.field.arrays, self.memory, self._scratch, self.output)
+        return self.output.observation
+
+    def step(self, action: NDArray[np.float32]) -> Output:
+        """Advance every drone by one control step with ``action`` (n, 4), clipped to [-1, 1]."""
+        step_all(
+            action, self.fleet, self.rules, self.field.arrays, self.memory, self._scratch, self.output, self.current_weights
+        )
+        return self.output
+
+    def take_ledger(self) -> dict[str, float]:
+        """Return the sums over the episodes that ended since the last call, by name, and empty them."""
+        names = [*LEDGER, *(f"reward/{term}" for term in TERMS)]
+        taken = dict(zip(names, self.output.ledger.tolist(), strict=True))
+        self.output.ledger[:] = 0.0
+        return taken
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return copies of everything that future steps depend on, by name."""
+        return {name: array.copy() for name, array in self._named_arrays().items()}
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Continue from a `snapshot`; shapes and types must be those of this race."""
+        mine = self._named_arrays()
+        for name, target in mine.items():
+            source = arrays[name]
+            if source.shape != target.shape or source.dtype != target.dtype:
+                raise ValueError(f"snapshot of {name} is {source.dtype}{source.shape}, not {target.dtype}{target.shape}")
+        for name, target in mine.items():
+            target[...] = arrays[name]
+
+    def _named_arrays(self) -> dict[str, NDArray[Any]]:
+        groups = {"fleet": self.fleet, "memory": self.memory}
+        arrays = {f"{g}.{name}": array for g, group in groups.items() for name, array in group._asdict().items()}
+        return {**arrays, "output.observation": self.output.observation, "output.ledger": self.output.ledger}
+
+
+def outcome_name(code: int) -> str:
+    """Return the name of an outcome code."""
+    return OUTCOMES[code]

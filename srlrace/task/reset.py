@@ -1,0 +1,199 @@
+"""How episodes start: at the track's start with random offsets, or where an earlier flight passed a gate."""
+
+from __future__ import annotations
+
+import math
+
+from srlrace.sim.compile import inline
+from srlrace.task.arrays import EPISODE_RETURN, MIN_CLEARANCE, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED
+from srlrace.task.random import symmetric, uniform
+from srlrace.world.field import nearest
+
+START_TRIES = 64  # a start is redrawn while it touches an obstacle; at level 3 one draw in four does
+FAR = 1e6  # m, the clearance of an episode that has not met an obstacle
+
+
+@inline
+def draw_map(fleet, rules, i):
+    """Draw the obstacle map."""
+    fleet.map[i] = min(int(uniform(fleet.streams, i) * rules.maps), rules.maps - 1)
+
+
+@inline
+def draw_waypoints(fleet, rules, i):
+    """Displace as many waypoints as the rules say, chosen without replacement, never below the minimum height."""
+    count = rules.waypoints.shape[0]
+    left = rules.displaced
+    for w in range(count):
+        chosen = rules.displacement > 0.0 and uniform(fleet.streams, i) * (count - w) < left
+        for axis in range(3):
+            fleet.waypoints[w, axis, i] = rules.waypoints[w, axis]
+            if chosen:
+                fleet.waypoints[w, axis, i] += symmetric(fleet.streams, i, rules.displacement)
+        if chosen:
+            left -= 1
+            fleet.waypoints[w, 2, i] = max(fleet.waypoints[w, 2, i], rules.bounds[2] + rules.min_height)
+
+
+@inline
+def draw_position(fleet, rules, field, scratch, i):
+    """Draw the start position until it is clear of obstacles; the last of `START_TRIES` draws stands."""
+    state = fleet.state
+    for _ in range(START_TRIES):
+        for axis in range(3):
+            state[axis, i] = rules.start[axis] + symmetric(fleet.streams, i, rules.start_position)
+        state[2, i] = max(state[2, i], rules.bounds[2] + rules.min_height)
+        _, gap = nearest(
+            state[0, i], state[1, i], state[2, i], fleet.map[i], *field, rules.reach, scratch.distance, scratch.index
+        )
+        if gap > rules.keep_out:
+            break
+
+
+@inline
+def write_euler(state, i, roll, pitch, yaw):
+    """Set the quaternion from yaw, pitch, roll (rotations about z, y', x'')."""
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    state[6, i] = cr * cp * cy + sr * sp * sy
+    state[7, i] = sr * cp * cy - cr * sp * sy
+    state[8, i] = cr * sp * cy + sr * cp * sy
+    state[9, i] = cr * cp * sy - sr * sp * cy
+
+
+@inline
+def draw_attitude(fleet, rules, i):
+    """Draw roll, pitch and yaw, or four quaternion components as Flightmare does; zero spread is upright."""
+    half_width = rules.start_attitude
+    a = symmetric(fleet.streams, i, half_width)
+    b = symmetric(fleet.streams, i, half_width)
+    c = symmetric(fleet.streams, i, half_width)
+    if not rules.quaternion_draw or half_width == 0.0:
+        write_euler(fleet.state, i, a, b, c)
+        return
+    w = symmetric(fleet.streams, i, half_width)
+    inverse = 1.0 / math.sqrt(max(w * w + a * a + b * b + c * c, 1e-12))
+    fleet.state[6, i] = w * inverse
+    fleet.state[7, i] = a * inverse
+    fleet.state[8, i] = b * inverse
+    fleet.state[9, i] = c * inverse
+
+
+@inline
+def draw_motion(fleet, rules, i):
+    """Draw the velocity; body rates start at zero and the rotors at hover thrust."""
+    for axis in range(3):
+        fleet.state[3 + axis, i] = symmetric(fleet.streams, i, rules.start_velocity)
+        fleet.state[10 + axis, i] = 0.0
+    for rotor in range(4):
+        fleet.state[13 + rotor, i] = rules.hover_thrust
+
+
+@inline
+def draw_plant(fleet, rules, i):
+    """Draw drag (one factor for the three axes) and thrust gain around their nominal values."""
+    factor = 1.0 + symmetric(fleet.streams, i, rules.drag_spread)
+    for axis in range(3):
+        fleet.plant[axis, i] = rules.drag[axis] * factor
+    fleet.plant[3, i] = 1.0 + symmetric(fleet.streams, i, rules.thrust_spread)
+
+
+@inline
+def clear_episode(fleet, i):
+    """Forget what was tracked over the episode before."""
+    fleet.passing_time[:, i] = 0.0
+    fleet.first_target[i] = fleet.target[i]
+    fleet.tally[MIN_CLEARANCE, i] = FAR
+    fleet.tally[PEAK_SPEED, i] = 0.0
+    fleet.tally[PATH_LENGTH, i] = 0.0
+    fleet.tally[PEAK_BODY_RATE, i] = 0.0
+    fleet.tally[EPISODE_RETURN, i] = 0.0
+
+
+@inline
+def start_fresh(fleet, rules, field, scratch, i):
+    """Start an episode at the track's start."""
+    fleet.remembered[i] = False
+    fleet.target[i] = 0
+    fleet.steps[i] = 0
+    draw_map(fleet, rules, i)
+    draw_waypoints(fleet, rules, i)
+    draw_position(fleet, rules, field, scratch, i)
+    draw_motion(fleet, rules, i)
+    draw_attitude(fleet, rules, i)
+    draw_plant(fleet, rules, i)
+
+
+def record_size(waypoints: int) -> int:
+    """Return the number of values of a remembered passing: state, plant, waypoints, steps, map."""
+    return 17 + 4 + 3 * waypoints + 2
+
+
+@inline
+def remember(fleet, memory, i):
+    """Write the state of drone ``i``, which has just passed a waypoint, to the ring of its new target."""
+    k = fleet.target[i]
+    row = memory.record[k, memory.count[k] % memory.record.shape[1]]
+    memory.count[k] += 1
+    for j in range(17):
+        row[j] = fleet.state[j, i]
+    for j in range(4):
+        row[17 + j] = fleet.plant[j, i]
+    at = 21
+    for w in range(fleet.waypoints.shape[0]):
+        for axis in range(3):
+            row[at] = fleet.waypoints[w, axis, i]
+            at += 1
+    row[at] = fleet.steps[i]
+    row[at + 1] = fleet.map[i]
+
+
+@inline
+def start_remembered(fleet, memory, k, i):
+    """Start an episode from a random entry of the ring of target ``k``."""
+    size = min(memory.count[k], memory.record.shape[1])
+    row = memory.record[k, min(int(uniform(fleet.streams, i) * size), size - 1)]
+    fleet.remembered[i] = True
+    fleet.target[i] = k
+    for j in range(17):
+        fleet.state[j, i] = row[j]
+    for j in range(4):
+        fleet.plant[j, i] = row[17 + j]
+    at = 21
+    for w in range(fleet.waypoints.shape[0]):
+        for axis in range(3):
+            fleet.waypoints[w, axis, i] = row[at]
+            at += 1
+    fleet.steps[i] = int(row[at])
+    fleet.map[i] = int(row[at + 1])
+
+
+@inline
+def remembered_target(fleet, memory, i):
+    """Draw one of the targets that have remembered passings, uniformly; -1 when there is none."""
+    available = 0
+    for k in range(memory.count.shape[0]):
+        available += memory.count[k] > 0
+    if available == 0:
+        return -1
+    nth = min(int(uniform(fleet.streams, i) * available), available - 1)
+    for k in range(memory.count.shape[0]):
+        if memory.count[k] > 0:
+            if nth == 0:
+                return k
+            nth -= 1
+    return -1
+
+
+@inline
+def reset_drone(fleet, rules, field, memory, scratch, i):
+    """Start a new episode of drone ``i``."""
+    k = -1
+    if rules.gate_starts > 0.0 and uniform(fleet.streams, i) < rules.gate_starts:
+        k = remembered_target(fleet, memory, i)
+    if k >= 0:
+        start_remembered(fleet, memory, k, i)
+    else:
+        start_fresh(fleet, rules, field, scratch, i)
+    clear_episode(fleet, i)

@@ -1,0 +1,254 @@
+"""One control step of all drones, fused into a single compiled kernel.
+
+For each drone: action to command, dynamics, swept collision and passing, reward, end of episode,
+reset, observation. Fusing pays: at 100 drones the whole step takes tens of microseconds, about as
+much as a handful of separate numpy calls.
+
+Between the ends of a step the path is taken as the chord: at 45 m/s^2, the most the airframe can do,
+a 20 ms arc leaves its chord by a t^2 / 8 = 2 mm.
+"""
+
+from __future__ import annotations
+
+import math
+
+from srlrace.sim.compile import inline, kernel
+from srlrace.sim.dynamics import advance
+from srlrace.task.arrays import (
+    CRASHED,
+    DIVERGED,
+    EPISODE_RETURN,
+    EPISODES,
+    FINISH_TIME,
+    FINISHED,
+    FLYING,
+    GATES_PASSED,
+    LENGTH,
+    MIN_CLEARANCE,
+    OUT_OF_BOUNDS,
+    PATH_LENGTH,
+    PEAK_BODY_RATE,
+    PEAK_SPEED,
+    TIMEOUT,
+)
+from srlrace.task.observation import observe
+from srlrace.task.reset import FAR, remember, reset_drone
+from srlrace.task.reward import body_rate, progress, reward_terms
+from srlrace.world.field import nearest, pass_waypoint, swept_gap
+
+SWEEP_WITHIN = 1.0  # m; farther from every surface, the gap at the step's end is reported unswept
+
+
+@inline
+def command_from_action(action, rules, scratch, i):
+    """Turn an action in [-1, 1]^4, clipped, into collective thrust (m/s^2) and body rates (rad/s)."""
+    scratch.command[0, i] = 0.5 * (min(max(action[i, 0], -1.0), 1.0) + 1.0) * rules.max_collective
+    for axis in range(3):
+        scratch.command[1 + axis, i] = min(max(action[i, 1 + axis], -1.0), 1.0) * rules.body_rate_max[axis]
+
+
+@inline
+def sense(fleet, rules, field, scratch, i):
+    """Find the nearest obstacles of drone ``i``; return how many are in range and the gap to the nearest surface."""
+    x, y, z = fleet.state[0, i], fleet.state[1, i], fleet.state[2, i]
+    return nearest(x, y, z, fleet.map[i], *field, rules.reach, scratch.distance, scratch.index)
+
+
+@inline
+def observe_into(fleet, rules, field, scratch, i, out):
+    """Sense and write the observation of drone ``i``."""
+    sense(fleet, rules, field, scratch, i)
+    observe(fleet, rules, field, i, scratch.distance, scratch.index, out[i])
+
+
+@inline
+def is_finite(state, i):
+    """Whether every state value of drone ``i`` is finite."""
+    total = 0.0
+    for row in range(17):
+        total += abs(state[row, i])
+    return total < 1e12
+
+
+@inline
+def contain(fleet, scratch, i):
+    """Put a diverged drone back where its step began, at rest and upright, so that nothing non-finite is seen."""
+    fleet.state[:, i] = 0.0
+    fleet.state[6, i] = 1.0
+    for axis in range(3):
+        fleet.state[axis, i] = scratch.previous[axis, i]
+
+
+@inline
+def step_clearance(fleet, rules, field, scratch, gap, i):
+    """Return the smallest gap between the drone's hull and any obstacle surface during the step, m."""
+    x0, y0, z0 = scratch.previous[0, i], scratch.previous[1, i], scratch.previous[2, i]
+    x1, y1, z1 = fleet.state[0, i], fleet.state[1, i], fleet.state[2, i]
+    length = math.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2)
+    if gap < SWEEP_WITHIN + length:
+        gap = min(gap, swept_gap(x0, y0, z0, x1, y1, z1, fleet.map[i], *field))
+    return gap - rules.arm_length
+
+
+@inline
+def inside(state, bounds, i):
+    """Whether drone ``i`` is inside the world; a box is convex, so the step's end decides for the chord."""
+    for axis in range(3):
+        if state[axis, i] < bounds[axis] or state[axis, i] > bounds[3 + axis]:
+            return False
+    return True
+
+
+@inline
+def track_episode(fleet, scratch, clearance, rate, i):
+    """Update what is tracked over the episode."""
+    state, tally = fleet.state, fleet.tally
+    speed = math.sqrt(state[3, i] ** 2 + state[4, i] ** 2 + state[5, i] ** 2)
+    length = math.sqrt(
+        (state[0, i] - scratch.previous[0, i]) ** 2
+        + (state[1, i] - scratch.previous[1, i]) ** 2
+        + (state[2, i] - scratch.previous[2, i]) ** 2
+    )
+    tally[MIN_CLEARANCE, i] = min(tally[MIN_CLEARANCE, i], clearance)
+    tally[PEAK_SPEED, i] = max(tally[PEAK_SPEED, i], speed)
+    tally[PATH_LENGTH, i] += length
+    tally[PEAK_BODY_RATE, i] = max(tally[PEAK_BODY_RATE, i], rate)
+
+
+@inline
+def try_passing(fleet, rules, scratch, i):
+    """Advance the target if the step passes it; return the fraction of the step at which it did, or -1."""
+    w = rules.sequence[fleet.target[i]]
+    fraction = pass_waypoint(
+        scratch.previous[0, i],
+        scratch.previous[1, i],
+        scratch.previous[2, i],
+        fleet.state[0, i],
+        fleet.state[1, i],
+        fleet.state[2, i],
+        fleet.waypoints[w, 0, i],
+        fleet.waypoints[w, 1, i],
+        fleet.waypoints[w, 2, i],
+        rules.passing_radius,
+    )
+    if fraction >= 0.0:
+        fleet.passing_time[fleet.target[i], i] = (fleet.steps[i] - 1 + fraction) * rules.dt
+        fleet.target[i] += 1
+    return fraction
+
+
+@inline
+def target_progress(fleet, rules, scratch, target, i):
+    """Metres gained towards ``target``, the one that was valid when the step began."""
+    w = rules.sequence[target]
+    return progress(
+        scratch.previous[0, i],
+        scratch.previous[1, i],
+        scratch.previous[2, i],
+        fleet.state[0, i],
+        fleet.state[1, i],
+        fleet.state[2, i],
+        fleet.waypoints[w, 0, i],
+        fleet.waypoints[w, 1, i],
+        fleet.waypoints[w, 2, i],
+    )
+
+
+@inline
+def judge(fleet, rules, field, memory, scratch, out, gap, i):
+    """Decide how the step of drone ``i`` ended: collision, bounds, passing, horizon. Return the outcome."""
+    clearance = step_clearance(fleet, rules, field, scratch, gap, i)
+    out.clearance[i] = clearance
+    track_episode(fleet, scratch, clearance, body_rate(fleet.state, i), i)
+    if clearance < rules.keep_out - rules.arm_length:
+        return CRASHED
+    if not inside(fleet.state, rules.bounds, i):
+        return OUT_OF_BOUNDS
+    fraction = try_passing(fleet, rules, scratch, i)
+    if fraction >= 0.0:
+        if fleet.target[i] == rules.sequence.shape[0]:
+            out.time[i] = (fleet.steps[i] - 1 + fraction) * rules.dt
+            return FINISHED
+        if rules.gate_starts > 0.0:
+            remember(fleet, memory, i)
+    if fleet.steps[i] >= rules.horizon_steps:
+        return TIMEOUT
+    return FLYING
+
+
+@inline
+def close_episode(fleet, out, outcome, i):
+    """Copy what was tracked over the episode to the output, and enter real starts into the ledger."""
+    out.final_tally[:, i] = fleet.tally[:, i]
+    out.final_passing_time[:, i] = fleet.passing_time[:, i]
+    out.final_target[i] = fleet.target[i]
+    if fleet.remembered[i]:
+        return
+    out.ledger[EPISODES] += 1.0
+    out.ledger[outcome] += 1.0
+    out.ledger[LENGTH] += fleet.steps[i]
+    out.ledger[GATES_PASSED] += fleet.target[i]
+    if outcome == FINISHED:
+        out.ledger[FINISH_TIME] += out.time[i]
+
+
+@inline
+def step_drone(fleet, rules, field, memory, scratch, out, weights, i):
+    """Everything of a step that comes after the dynamics, for drone ``i``."""
+    fleet.steps[i] += 1
+    out.time[i] = fleet.steps[i] * rules.dt
+    target = fleet.target[i]
+    count, gain, rate = 0, 0.0, 0.0
+    outcome = DIVERGED
+    if is_finite(fleet.state, i):
+        count, gap = sense(fleet, rules, field, scratch, i)
+        gain = target_progress(fleet, rules, scratch, target, i)
+        rate = body_rate(fleet.state, i)
+        outcome = judge(fleet, rules, field, memory, scratch, out, gap, i)
+    else:
+        contain(fleet, scratch, i)
+        sense(fleet, rules, field, scratch, i)
+        out.clearance[i] = FAR
+    collided = outcome == CRASHED or outcome == OUT_OF_BOUNDS or outcome == DIVERGED
+    total_time = out.time[i]
+    finished = outcome == FINISHED
+    reward = reward_terms(
+        weights, gain, rate, scratch.distance, count, collided, finished, total_time, rules.dt, out.reward_terms, i
+    )
+    out.reward[i] = reward
+    out.outcome[i] = outcome
+    fleet.tally[EPISODE_RETURN, i] += reward
+    for k in range(weights.shape[0]):
+        out.ledger[GATES_PASSED + 1 + k] += out.reward_terms[k, i]
+    if outcome == FLYING:
+        observe(fleet, rules, field, i, scratch.distance, scratch.index, out.observation[i])
+        return
+    observe(fleet, rules, field, i, scratch.distance, scratch.index, out.terminal_observation[i])
+    close_episode(fleet, out, outcome, i)
+    if rules.autoreset:
+        reset_drone(fleet, rules, field, memory, scratch, i)
+        observe_into(fleet, rules, field, scratch, i, out.observation)
+    else:
+        fleet.parked[i] = True
+
+
+@kernel
+def step_all(action, fleet, rules, field, memory, scratch, out, weights):
+    """Advance every drone by one control step; ``action`` is (n, 4), ``weights`` (terms,) as of now."""
+    n = fleet.state.shape[1]
+    for i in range(n):
+        command_from_action(action, rules, scratch, i)
+    scratch.previous[:] = fleet.state[:3]
+    advance(fleet.state, scratch.command, fleet.plant, rules.airframe, rules.dt, rules.substeps)
+    for i in range(n):
+        if not fleet.parked[i]:
+            step_drone(fleet, rules, field, memory, scratch, out, weights, i)
+
+
+@kernel
+def reset_all(fleet, rules, field, memory, scratch, out):
+    """Start a new episode of every drone and observe it."""
+    for i in range(fleet.state.shape[1]):
+        fleet.parked[i] = False
+        reset_drone(fleet, rules, field, memory, scratch, i)
+        observe_into(fleet, rules, field, scratch, i, out.observation)
