@@ -48,11 +48,12 @@ class Airframe:
     def mixer(self) -> NDArray[np.float64]:
         """Matrix (4, 4) from rotor thrusts [N] to total thrust [N] and torques [N m] (paper Eq. 2)."""
         lever = self.quad.arm_length / sqrt(2)
-        return np.diag([1.0, lever, lever, self.quad.torque_constant]) @ np.array(ROTOR_SIGNS)
+        arms: NDArray[np.float64] = np.array([1.0, lever, lever, self.quad.torque_constant])
+        return arms[:, None] * np.array(ROTOR_SIGNS, dtype=np.float64)
 
     def inverse_mixer(self) -> NDArray[np.float64]:
         """Matrix (4, 4) from total thrust [N] and torques [N m] to rotor thrusts [N]."""
-        return np.linalg.inv(self.mixer())
+        return np.asarray(np.linalg.inv(self.mixer()), dtype=np.float64)
 
     def drag_acceleration(self) -> NDArray[np.float64]:
         """Linear drag along the body axes (3,), mass-normalised [1/s]."""

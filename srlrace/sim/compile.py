@@ -18,7 +18,8 @@ from typing import Any
 
 import llvmlite
 import numba
-from numba import config, njit
+from numba import njit
+from numba.core import config as numba_config
 
 # Reordering and contraction only: no "nnan" or "ninf", so that tests for NaN and infinity keep their meaning.
 FASTMATH = frozenset({"contract", "nsz", "arcp", "reassoc", "afn"})
@@ -67,6 +68,7 @@ def cache_folder(layer: str) -> str:
 def _compile(function: Callable[..., Any], **options: Any) -> Any:
     # The folder is numba-wide: set it for this decoration only, so that other users of numba keep theirs.
     layer = function.__module__.removeprefix("srlrace.").split(".")[0]
+    config: Any = numba_config
     previous, config.CACHE_DIR = config.CACHE_DIR, cache_folder(layer)
     try:
         return njit(cache=True, nogil=True, error_model="numpy", fastmath=set(FASTMATH), **options)(function)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from srlrace.sim.compile import inline, kernel
-from srlrace.sim.quadrotor import step
+from srlrace.sim.quadrotor import integrate, rotor_targets
 from srlrace.sim.vector import lanes, load, store
 
 
@@ -39,7 +39,7 @@ def store4(array: Any, row: int, start: int, count: int, value: Any) -> None:
 
 @kernel
 def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, substeps: int) -> None:
-    """Advance all drones by `dt` seconds in `substeps` RK4 steps, in place.
+    """Advance all drones by `dt` seconds in `substeps` RK4 steps, in place; the rate controller runs at each.
 
     state (17, n): position [m, world], velocity [m/s, world], attitude w, x, y, z (body to world),
     body rates [rad/s, body], rotor thrusts [N]. command (4, n): collective [m/s^2] and body rates [rad/s],
@@ -55,7 +55,8 @@ def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, subs
         asked = load4(command, 0, start, count)
         drag, gain = load3(plant, 0, start, count), load(plant, 3, start, count)
         for _ in range(substeps):
-            p, v, q, w, f = step(p, v, q, w, f, asked, drag, gain, airframe, h)
+            target = rotor_targets(w, asked, gain, airframe)
+            p, v, q, w, f = integrate(p, v, q, w, f, target, drag, airframe, h)
         store3(state, 0, start, count, p)
         store3(state, 3, start, count, v)
         store4(state, 6, start, count, q)

@@ -44,6 +44,12 @@ def mix(f: Any, a: Any) -> Any:
 
 
 @inline
+def clamp(value: Any, highest: Any) -> Any:
+    """`value` limited to [0, highest]; a vector's NaN stays NaN, for min and max give their second operand then."""
+    return min(highest, max(0.0, value))
+
+
+@inline
 def rotor_targets(w: Any, command: Any, gain: Any, a: Any) -> Any:
     """Rotor thrusts [N] that the rate controller asks for: clamped to the rotor's range, then times `gain`.
 
@@ -62,12 +68,6 @@ def rotor_targets(w: Any, command: Any, gain: Any, a: Any) -> Any:
 
 
 @inline
-def clamp(value: Any, highest: Any) -> Any:
-    """`value` limited to [0, highest]."""
-    return min(max(value, 0.0), highest)
-
-
-@inline
 def lag_factors(h: Any, rate: Any) -> Any:
     """What is left of a rotor's deviation from its target: at RK4 stages 2, 3, 4 and after a step of `h` [s]."""
     z = h * rate
@@ -75,17 +75,6 @@ def lag_factors(h: Any, rate: Any) -> Any:
     third = 1.0 - z / 2.0 * second
     fourth = 1.0 - z * third
     return second, third, fourth, 1.0 - z / 6.0 * (1.0 + 2.0 * second + 2.0 * third + fourth)
-
-
-@inline
-def towards(target: Any, deviation: Any, factor: Any) -> Any:
-    """Four values of the linear lag: target + factor * deviation."""
-    return (
-        target[0] + factor * deviation[0],
-        target[1] + factor * deviation[1],
-        target[2] + factor * deviation[2],
-        target[3] + factor * deviation[3],
-    )
 
 
 @inline
@@ -101,13 +90,26 @@ def along4(x: Any, h: Any, k: Any) -> Any:
 
 
 @inline
+def weighted(k1: Any, k2: Any, k3: Any, k4: Any) -> Any:
+    """Sum of the four RK4 slopes with weights 1, 2, 2, 1."""
+    return (k1 + k4) + 2.0 * (k2 + k3)
+
+
+@inline
 def weighted3(k1: Any, k2: Any, k3: Any, k4: Any) -> Any:
-    """Sum of the RK4 slopes with weights 1, 2, 2, 1, for triples."""
+    """Sum of the four RK4 slopes with weights 1, 2, 2, 1, for triples."""
     return (
-        (k1[0] + k4[0]) + 2.0 * (k2[0] + k3[0]),
-        (k1[1] + k4[1]) + 2.0 * (k2[1] + k3[1]),
-        (k1[2] + k4[2]) + 2.0 * (k2[2] + k3[2]),
+        weighted(k1[0], k2[0], k3[0], k4[0]),
+        weighted(k1[1], k2[1], k3[1], k4[1]),
+        weighted(k1[2], k2[2], k3[2], k4[2]),
     )
+
+
+@inline
+def weighted4(k1: Any, k2: Any, k3: Any, k4: Any) -> Any:
+    """Sum of the four RK4 slopes with weights 1, 2, 2, 1, for quadruples."""
+    x, y, z = weighted3(k1, k2, k3, k4)
+    return x, y, z, weighted(k1[3], k2[3], k3[3], k4[3])
 
 
 @inline
@@ -173,10 +175,7 @@ def attitude_step(q: Any, w1: Any, w2: Any, w3: Any, w4: Any, h: Any) -> Any:
     k3 = attitude_slope(q3, w3)
     q4 = along4(q, h / 2.0, k3)
     k4 = attitude_slope(q4, w4)
-    w = q[0] + h / 12.0 * ((k1[0] + k4[0]) + 2.0 * (k2[0] + k3[0]))
-    x = q[1] + h / 12.0 * ((k1[1] + k4[1]) + 2.0 * (k2[1] + k3[1]))
-    y = q[2] + h / 12.0 * ((k1[2] + k4[2]) + 2.0 * (k2[2] + k3[2]))
-    z = q[3] + h / 12.0 * ((k1[3] + k4[3]) + 2.0 * (k2[3] + k3[3]))
+    w, x, y, z = along4(q, h / 12.0, weighted4(k1, k2, k3, k4))
     scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
     return q2, q3, q4, (w * scale, x * scale, y * scale, z * scale)
 
@@ -193,14 +192,14 @@ def translation_step(p: Any, v: Any, q1: Any, q2: Any, q3: Any, q4: Any, c: Any,
 
 
 @inline
-def step(p: Any, v: Any, q: Any, w: Any, f: Any, command: Any, drag: Any, gain: Any, a: Any, h: Any) -> Any:
-    """One controller update and one RK4 step of `h` [s]: new position, velocity, attitude, body rates, thrusts."""
-    target = rotor_targets(w, command, gain, a)
+def integrate(p: Any, v: Any, q: Any, w: Any, f: Any, target: Any, drag: Any, a: Any, h: Any) -> Any:
+    """One RK4 step of `h` [s] under held rotor targets [N]: new position, velocity, attitude, body rates, thrusts."""
     deviation = along4(f, -1.0, target)
     second, third, fourth, end = lag_factors(h, a[ROTOR_RATE])
-    steady, d1, excess = mix(target, a), mix(f, a), mix(deviation, a)
-    d2, d3, d4 = towards(steady, excess, second), towards(steady, excess, third), towards(steady, excess, fourth)
+    steady, excess = mix(target, a), mix(deviation, a)
+    d1 = mix(f, a)
+    d2, d3, d4 = along4(steady, second, excess), along4(steady, third, excess), along4(steady, fourth, excess)
     w2, w3, w4, w_new = rates_step(w, d1, d2, d3, d4, h, a)
     q2, q3, q4, q_new = attitude_step(q, w, w2, w3, w4, h)
     p_new, v_new = translation_step(p, v, q, q2, q3, q4, (d1[0], d2[0], d3[0], d4[0]), drag, h)
-    return p_new, v_new, q_new, w_new, towards(target, deviation, end)
+    return p_new, v_new, q_new, w_new, along4(target, end, deviation)

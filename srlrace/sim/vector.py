@@ -16,11 +16,13 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from llvmlite import ir
-from numba import types
+from numba import extending, types
 from numba.core import cgutils
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+from numba.extending import lower_builtin, lower_cast, models, register_model
+
+intrinsic: Any = extending.intrinsic  # its functions are called without the typing context they declare
 
 
 def register_bytes() -> int:
@@ -90,7 +92,7 @@ def _operation(function: Any, arity: int, emit: Any) -> None:
 
 
 def _minimum(builder: Any, a: Any, b: Any) -> Any:
-    # An ordered comparison is false where either is NaN: exactly the packed min instruction.
+    # An ordered comparison is false where either is NaN, so the result is `b`: exactly the packed min instruction.
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
@@ -138,8 +140,9 @@ def load(typingctx: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         value_type = context.get_value_type(vector)
-        pointer = _address(context, builder, sig.args[0], *args[:3], value_type)
-        mask = _mask(builder, args[3], vector.lanes)
+        block, first_row, first_column, left = args
+        pointer = _address(context, builder, sig.args[0], block, first_row, first_column, value_type)
+        mask = _mask(builder, left, vector.lanes)
         align = ir.IntType(32)(vector.element.bitwidth // 8)
         zeros = ir.Constant(value_type, [0.0] * vector.lanes)
         return _call(builder, f"llvm.masked.load.{_suffix(value_type)}.p0", value_type, [pointer, align, mask, zeros])
@@ -152,11 +155,12 @@ def store(typingctx: Any, array: Any, row: Any, column: Any, count: Any, value: 
     """Write `value` to `array[row, column : column + lanes]`; lanes from `count` on are left alone."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        value_type = args[4].type
-        pointer = _address(context, builder, sig.args[0], *args[:3], value_type)
-        mask = _mask(builder, args[3], value.lanes)
+        block, first_row, first_column, left, content = args
+        value_type = content.type
+        pointer = _address(context, builder, sig.args[0], block, first_row, first_column, value_type)
+        mask = _mask(builder, left, value.lanes)
         align = ir.IntType(32)(value.element.bitwidth // 8)
-        _call(builder, f"llvm.masked.store.{_suffix(value_type)}.p0", ir.VoidType(), [args[4], pointer, align, mask])
+        _call(builder, f"llvm.masked.store.{_suffix(value_type)}.p0", ir.VoidType(), [content, pointer, align, mask])
         return context.get_dummy_value()
 
     return signature(types.none, array, types.intp, types.intp, types.intp, value), lower
