@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 NAME_MEANING = "a name of letters, digits, '.', '_' and '-', at most 64, beginning with a letter or digit"
@@ -86,11 +86,12 @@ def parse(schema: type[Schema], data: Any, path: str = "") -> Schema:
             name = str(key) if NAME.fullmatch(str(key)) else show(key)
             raise ConfigError(f"{_join(path, name)}: no such setting{nearest(name, fields)}")
     values = {}
+    types: Mapping[str, Any] = kinds(cast(Any, schema))
     for name, field in fields.items():
         if name in data:
-            values[name] = parse_value(kinds(schema)[name], field.metadata, data[name], _join(path, name))
+            values[name] = parse_value(types[name], field.metadata, data[name], _join(path, name))
         elif field.default is dataclasses.MISSING:
-            raise ConfigError(f"{_join(path, name)}: missing; takes {describe(kinds(schema)[name], field.metadata)}")
+            raise ConfigError(f"{_join(path, name)}: missing; takes {describe(types[name], field.metadata)}")
     return schema(**values)
 
 
@@ -100,11 +101,12 @@ def parse_value(kind: Any, bounds: Mapping[str, Any], value: Any, path: str) -> 
         return parse(kind, value, path)
     if get_origin(kind) is tuple:
         return _parse_tuple(kind, bounds, value, path)
+    checked = value
     if kind is float and isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63:
-        value = float(value)
-    if type(value) is not kind or not _within(value, bounds):
+        checked = float(value)
+    if type(checked) is not kind or not _within(checked, bounds):
         raise ConfigError(f"{path}: got {show(value)}; takes {describe(kind, bounds)}{_hint(kind, bounds, value)}")
-    return value
+    return checked
 
 
 def _parse_tuple(kind: Any, bounds: Mapping[str, Any], value: Any, path: str) -> tuple[Any, ...]:
@@ -148,9 +150,7 @@ def describe(kind: Any, bounds: Mapping[str, Any]) -> str:
         return "one of " + ", ".join(bounds["choices"]) if bounds["choices"] else NAME_MEANING
     noun = "a whole number" if kind is int else "a number"
     low, high, above = (bounds.get(key) for key in ("low", "high", "above"))
-    limits = [f"> {above:g}"] if above is not None else []
-    limits += [f">= {low:g}"] if low is not None else []
-    limits += [f"<= {high:g}"] if high is not None else []
+    limits = [f"{sign} {bound}" for sign, bound in ((">", above), (">=", low), ("<=", high)) if bound is not None]
     unit = f" [{bounds['unit']}]" if bounds.get("unit") else ""
     return " ".join([noun, " and ".join(limits)]).rstrip() + unit
 
