@@ -95,7 +95,7 @@ def flight(
     return start, commands, state
 
 
-@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-4), (np.float32, 5e-3)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 2e-5), (np.float32, 5e-4)])
 def test_two_seconds_of_random_actions(
     flight: tuple[Array, list[Array], Array], airframe: Airframe, dtype: type, tolerance: float
 ) -> None:
