@@ -77,10 +77,19 @@ def _compile(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls, once per combination of argument types."""
-    return _compile(function)
+    """Compile a function that Python calls at every step, once per combination of argument types.
+
+    Without numba's reference counting (``_nrt``): counting the dozens of arrays that a step passes around, with
+    atomic instructions, would take longer than the step itself. Such functions cannot allocate arrays.
+    """
+    return _compile(function, _nrt=False)
 
 
 def inline(function: Callable[..., Any]) -> Any:
-    """Compile a small function that kernels call; LLVM always merges it into its caller."""
-    return _compile(function, forceinline=True)
+    """Compile a small function that kernels call; LLVM always merges it into its caller. Cannot allocate arrays."""
+    return _compile(function, forceinline=True, _nrt=False)
+
+
+def builder(function: Callable[..., Any]) -> Any:
+    """Compile a function of the set-up, which may allocate arrays."""
+    return _compile(function)

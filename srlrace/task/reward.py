@@ -50,12 +50,28 @@ def body_rate(state, i):
     return math.sqrt(state[10, i] ** 2 + state[11, i] ** 2 + state[12, i] ** 2)
 
 
+EXP_STEP = 0.125  # m, spacing of the table
+EXP_TABLE = np.exp(-EXP_STEP * np.arange(129))  # to 16 m, beyond which exp(-d) < 1.2e-7 counts as that
+
+
+@inline
+def exp_minus(d):
+    """Return exp(-d) for d >= 0, to 3e-7: a table entry times a Taylor polynomial of the remainder.
+
+    The relative error of the polynomial is below 0.125^5 / 120. The library's exp would take a fifth of
+    the whole step.
+    """
+    k = min(int(d * (1.0 / EXP_STEP)), 128)
+    r = min(d - k * EXP_STEP, EXP_STEP)
+    return EXP_TABLE[k] * (1.0 - r * (1.0 - r * (0.5 - r * (1.0 / 6.0 - r * (1.0 / 24.0)))))
+
+
 @inline
 def safety(distance, count):
     """Sum of exp(-d / 1 m) over the ``count`` obstacles in range."""
     total = 0.0
     for k in range(count):
-        total += math.exp(-distance[k])
+        total += exp_minus(distance[k])
     return total
 
 

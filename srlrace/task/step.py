@@ -177,10 +177,17 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
 
 
 @inline
+def copy_column(source, target, i):
+    """Copy what belongs to drone ``i``, value by value: an array assignment would allocate."""
+    for row in range(target.shape[0]):
+        target[row, i] = source[row, i]
+
+
+@inline
 def close_episode(fleet, out, outcome, i):
     """Copy what was tracked over the episode to the output, and enter real starts into the ledger."""
-    out.final_tally[:, i] = fleet.tally[:, i]
-    out.final_passing_time[:, i] = fleet.passing_time[:, i]
+    copy_column(fleet.tally, out.final_tally, i)
+    copy_column(fleet.passing_time, out.final_passing_time, i)
     out.final_target[i] = fleet.target[i]
     if fleet.remembered[i]:
         return
@@ -238,7 +245,7 @@ def step_all(action, fleet, rules, field, memory, scratch, out, weights):
     n = fleet.state.shape[1]
     for i in range(n):
         command_from_action(action, rules, scratch, i)
-    scratch.previous[:] = fleet.state[:3]
+        copy_column(fleet.state, scratch.previous, i)
     advance(fleet.state, scratch.command, fleet.plant, rules.airframe, rules.dt, rules.substeps)
     for i in range(n):
         if not fleet.parked[i]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srlrace.config import LevelConfig, TrackConfig
-from srlrace.sim.compile import kernel
+from srlrace.sim.compile import builder
 from srlrace.world.grid import build_grid
 from srlrace.world.lattice import ROW, ZERO, Floats, Ints, pack
 from srlrace.world.levels import generate_map
@@ -111,7 +111,7 @@ def ray_directions(rays: int, dtype: Any = np.float32) -> NDArray[Any]:
     return np.ascontiguousarray([np.cos(angle), np.sin(angle)], dtype)
 
 
-@kernel
+@builder
 def _gaps(points: Floats, map_index: int, lattices: Floats, grid: Ints, geometry: Floats) -> Floats:
     out = np.empty(len(points), lattices.dtype)
     distance, index = np.empty(1, lattices.dtype), np.empty(1, np.int32)

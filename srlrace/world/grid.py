@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from srlrace.sim.compile import inline, kernel
+from srlrace.sim.compile import builder, inline
 from srlrace.world.lattice import LAST, ORIGIN, PITCH, RADIUS, Floats, Ints, Real, axis_centre, squared_distance
 
 CELL = 1.0  # m, edge of a cell in x and y, and in z where the obstacles are not all trees
@@ -98,7 +98,7 @@ def largest_difference(lattices: Floats, j: int, i: int, centre: Floats, half: F
     return total
 
 
-@inline
+@builder
 def select(lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Floats, half: Floats, prune: bool) -> Ints:
     """Obstacles of `pool` a box needs: among the `nearest` within `reach`, or nearest by surface; sorted."""
     m = len(pool)
@@ -140,7 +140,7 @@ def select(lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Floa
     return result[:count]
 
 
-@inline
+@builder
 def within(lattices: Floats, pool: Ints, reach: Real, centre: Floats, half: Floats) -> Ints:
     """Obstacles with a surface within `reach` of a box, nearest first."""
     result, key = np.empty(len(pool), np.int32), np.empty(len(pool))
@@ -152,7 +152,7 @@ def within(lattices: Floats, pool: Ints, reach: Real, centre: Floats, half: Floa
     return result[:count][np.argsort(key[:count])]
 
 
-@kernel
+@builder
 def map_records(
     lattices: Floats,
     first: int,
