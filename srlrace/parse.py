@@ -150,7 +150,11 @@ def describe(kind: Any, bounds: Mapping[str, Any]) -> str:
         return "one of " + ", ".join(bounds["choices"]) if bounds["choices"] else NAME_MEANING
     noun = "a whole number" if kind is int else "a number"
     low, high, above = (bounds.get(key) for key in ("low", "high", "above"))
-    limits = [f"{sign} {bound}" for sign, bound in ((">", above), (">=", low), ("<=", high)) if bound is not None]
+    limits = [
+        f"{sign} {bound if isinstance(bound, int) else f'{bound:g}'}"
+        for sign, bound in ((">", above), (">=", low), ("<=", high))
+        if bound is not None
+    ]
     unit = f" [{bounds['unit']}]" if bounds.get("unit") else ""
     return " ".join([noun, " and ".join(limits)]).rstrip() + unit
 

@@ -22,7 +22,6 @@ def provenance(argv: Sequence[str]) -> dict[str, Any]:
     return {
         "argv": list(argv),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"srlrace": __version__, "python": platform.python_version(), **_versions()},
         "git": git_state(),
         "cpu": cpu_name(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -30,8 +29,9 @@ def provenance(argv: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _versions() -> dict[str, str]:
-    found = {}
+def versions() -> dict[str, str]:
+    """The versions of what results depend on; imports none of it."""
+    found = {"srlrace": __version__, "python": platform.python_version()}
     for package in PACKAGES:
         try:
             found[package] = version(package)

@@ -26,10 +26,10 @@ from typing import Any
 from srlrace.config import Config, ConfigError, load_config
 from srlrace.files import FileError, atomic_write, read_json, read_limited
 from srlrace.parse import NAME
-from srlrace.provenance import provenance
+from srlrace.provenance import provenance, versions
 
 __all__ = ["RunError", "RunFolder", "State", "atomic_write", "find", "latest_finished", "list_runs", "provenance",
-           "runs_root"]  # fmt: skip
+           "runs_root", "versions"]  # fmt: skip
 
 LOCK_PATIENCE = 0.5  # s: a lister holds a shared lock for microseconds; whoever holds it longer is training
 TAIL = 64 * 2**10  # bytes of progress.csv that are read to find its last row

@@ -1,0 +1,228 @@
+"""The ``srlrace`` command: a thin layer that finds runs, calls the code that works, and words errors.
+
+Heavy imports happen inside the commands, so that help, listings and error messages appear at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from srlrace import __version__
+from srlrace.completion import complete_experiment, complete_override, complete_run, complete_suite, completing
+from srlrace.console import fail, out, say, setup_logging
+
+app = typer.Typer(
+    name="srlrace",
+    help="Train, evaluate and compare policies for time-optimal flight through clutter.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+RunsOption = Annotated[
+    Path | None, typer.Option("--runs", metavar="DIR", envvar="SRLRACE_RUNS", help="Where runs live; default ./runs.")
+]
+RunArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN", help="A run's id, a unique prefix of it, or its folder.", autocompletion=complete_run
+    ),
+]
+PASS_THROUGH = {"ignore_unknown_options": True, "allow_extra_args": True}
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False) -> None:
+    if version:
+        out.print(f"srlrace {__version__}")
+        raise typer.Exit
+
+
+@app.command(context_settings=PASS_THROUGH)
+def train(
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME=VALUE]... [-m]", autocompletion=complete_override)
+    ] = None,
+    runs: RunsOption = None,
+) -> None:
+    """Train one run, or several with -m; a finished run is skipped, an interrupted one continues.
+
+    env=forest, reward=no_safety and the like choose a preset, algo.gamma=0.98 and the like one setting.
+    -m trains a run for each value: -m seed=0,1,2 hydra/launcher=joblib. --cfg job shows the settings,
+    --info how they came about, --config-dir DIR adds presets of yours.
+    """
+    from srlrace.hydra_bridge import train as train_command
+    from srlrace.runs import runs_root
+
+    raise typer.Exit(train_command(overrides or [], runs_root(runs)))
+
+
+@app.command()
+def sweep(
+    experiments: Annotated[list[str], typer.Argument(metavar="EXPERIMENT...", autocompletion=complete_experiment)],
+    seeds: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Training seeds; default: the experiment's.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=1024, help="Runs trained side by side.")] = 2,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Training steps of each run, instead of the preset's.")
+    ] = None,
+    record: Annotated[str, typer.Option(metavar="all|N|none", help="Evaluation episodes to record.")] = "10",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")] = False,
+    runs: RunsOption = None,
+) -> None:
+    """Train and evaluate whatever is missing of the named tables ('paper': the paper's), then report."""
+    from srlrace.runs import runs_root
+    from srlrace.sweep import Plan, sweep_experiments
+
+    plan = Plan(runs_root(runs).absolute(), seeds=seeds, steps=steps, record=check_record(record))
+    raise typer.Exit(sweep_experiments(experiments, plan, jobs, dry_run))
+
+
+@app.command("eval")
+def evaluate(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", autocompletion=complete_run)] = None,
+    episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Episodes per suite.")] = 1000,
+    suite: Annotated[
+        list[str] | None,
+        typer.Option(help="train_map (default), level1, level2, level3.", autocompletion=complete_suite),
+    ] = None,
+    record: Annotated[str, typer.Option(metavar="all|N|none", help="Episodes to record.")] = "all",
+    runs: RunsOption = None,
+) -> None:
+    """Fly trained policies; the default RUN is the latest finished one."""
+    from srlrace.runs import State, find, latest_finished, runs_root
+    from srlrace.tables import evaluation_text
+
+    root, record = runs_root(runs), check_record(record)
+    suites = check_suites(suite or ["train_map"])
+    chosen = [find(root, name) for name in names] if names else [latest_finished(root)]
+    unfinished = [run.id for run in chosen if run.state is not State.FINISHED]
+    if unfinished:
+        fail(f"{unfinished[0]} has no policy yet; finish it with: srlrace resume {unfinished[0]}")
+        raise typer.Exit(2)
+    from srlrace.evaluate import evaluate_run
+
+    setup_logging()
+    for run in chosen:
+        for name in suites:
+            say(f"{run.id}: {episodes} episodes of {name}")
+            summary = evaluate_run(run, episodes, name, record)
+            out.print(evaluation_text(run.id, summary))
+
+
+@app.command()
+def report(
+    runs: RunsOption = None,
+    format: Annotated[
+        str | None, typer.Option(metavar="md|csv|tex", help="Print tables so; default: terminal.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Also write tables and figures there.")
+    ] = None,
+) -> None:
+    """Show the paper's tables: ours, from the runs at hand, beside the paper's numbers."""
+    from srlrace.report.command import report as write_report
+    from srlrace.runs import runs_root
+
+    write_report(runs_root(runs), format or "rich", out)
+
+
+@app.command("runs")
+def list_all(
+    filter: Annotated[list[str] | None, typer.Option("--filter", metavar="NAME=VALUE", help="Only such runs.")] = None,
+    runs: RunsOption = None,
+) -> None:
+    """List the runs: id, state, progress, results."""
+    from srlrace.runs import list_runs, runs_root
+    from srlrace.tables import filtered, runs_table
+
+    root = runs_root(runs)
+    chosen = filtered(list_runs(root), filter or [])
+    if chosen:
+        out.print(runs_table(chosen))
+    else:
+        say(f"no {'such ' if filter else ''}run in {root}")
+
+
+@app.command()
+def show(run: RunArgument, runs: RunsOption = None) -> None:
+    """Show a run's settings, origin and results."""
+    from srlrace.runs import find, runs_root
+    from srlrace.tables import run_page
+
+    for part in run_page(find(runs_root(runs), run)):
+        out.print(part)
+
+
+@app.command()
+def resume(run: RunArgument, runs: RunsOption = None) -> None:
+    """Continue an interrupted training; repeating its train command does the same."""
+    from srlrace.runs import find, runs_root
+    from srlrace.training import resume_run
+
+    raise typer.Exit(resume_run(find(runs_root(runs), run), ["srlrace", *sys.argv[1:]]))
+
+
+@app.command()
+def bench(
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers there.")] = None,
+) -> None:
+    """Measure throughput on this machine: dynamics, full step, training."""
+    from srlrace.bench import run
+
+    run(json)
+
+
+@app.command()
+def recover(file: Annotated[Path, typer.Argument(metavar="FILE.mcap.part")]) -> None:
+    """Turn what an interrupted recording has into a complete file, beside it."""
+    from srlrace.recording.recover import recover as recover_file
+
+    say(f"recovered {recover_file(file)}")
+
+
+def check_record(value: str) -> str:
+    """Check ``--record``; raises `ConfigError`."""
+    from srlrace.parse import ConfigError, show
+
+    if value not in ("all", "none") and not (value.isascii() and value.isdigit() and len(value) < 10):
+        raise ConfigError(f"--record: got {show(value)}; takes all, none or a number of episodes")
+    return value
+
+
+def check_suites(names: list[str]) -> list[str]:
+    """Check ``--suite``; raises `ConfigError`."""
+    from srlrace.completion import SUITES
+    from srlrace.parse import ConfigError, nearest
+    from srlrace.parse import show as quoted
+
+    for name in names:
+        if name not in SUITES:
+            raise ConfigError(f"--suite: got {quoted(name)}; takes one of {', '.join(SUITES)}{nearest(name, SUITES)}")
+    return names
+
+
+def main() -> Any:
+    """Run the command line; bad input is one line and status 2, a file system that refuses one line and 1."""
+    try:
+        with completing():
+            app()
+    except ValueError as error:
+        _leave(error, 2)
+    except OSError as error:
+        _leave(error, 1)
+
+
+def _leave(error: Exception, status: int) -> None:
+    """Word our own refusals; anything else is a bug and keeps its traceback."""
+    expected = isinstance(error, OSError) or type(error).__module__.startswith("srlrace.")
+    if not expected:
+        raise error
+    text = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) and error.filename else str(error)
+    fail(text)
+    sys.exit(status)

@@ -1,0 +1,145 @@
+"""Runs in the terminal: the list, one run's page, one evaluation's line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from srlrace.config import Config, ConfigError, method_name, to_dict
+from srlrace.console import clean
+from srlrace.overrides import SETTINGS
+from srlrace.parse import nearest
+from srlrace.runs import RunFolder, State
+
+STYLES = {State.FINISHED: "green", State.TRAINING: "cyan", State.INTERRUPTED: "yellow", State.FAILED: "red"}
+SHORT = (
+    "id",
+    "state",
+    "method",
+    "env",
+    "level",
+    "reward",
+    "observation",
+    "quad",
+    "randomization",
+    "curriculum",
+    "algo",
+)
+
+
+def text(value: object, style: str = "") -> Text:
+    """Anything from a file, as it may be shown: no markup, no control characters, not endless."""
+    return Text(clean(value)[:2000], style=style)
+
+
+def runs_table(runs: Sequence[RunFolder]) -> Table:
+    """One row a run: id, state, how far, what training last saw, what evaluations said."""
+    table = Table("run", "state", "trained", "finished", "crashed", "evaluated", box=None, pad_edge=False)
+    table.columns[0].overflow = "fold"
+    for run in runs:
+        state, progress = run.state, run.progress
+        results = "; ".join(brief(suite, summary) for suite, summary in run.evaluations.items())
+        ratios = [_percent(progress.get(name)) for name in ("success_ratio", "crash_ratio")]
+        table.add_row(text(run.id), Text(state, STYLES.get(state, "")), _steps(run, progress), *ratios, text(results))
+    return table
+
+
+def _steps(run: RunFolder, progress: dict[str, float]) -> Text:
+    steps, total = progress.get("steps"), run.config.algo.total_steps if run.config else None
+    if steps is None or not total:
+        return Text("-" if total else "config.json is not valid")
+    return Text(f"{steps / 1e6:.4g} M, {min(100, 100 * steps / total):.0f} %")
+
+
+def _percent(value: float | None) -> Text:
+    return Text("-" if value is None else f"{100 * value:.1f} %")
+
+
+def brief(suite: str, summary: dict[str, Any]) -> str:
+    """An evaluation in a few words."""
+    outcomes = summary.get("outcomes")
+    finished = outcomes.get("finished", 0) if isinstance(outcomes, dict) else "?"
+    return f"{suite} {finished}/{summary.get('episodes', '?')} in {_number(summary.get('time_mean_s'), '.2f')} s"
+
+
+def _number(value: object, form: str) -> str:
+    return format(value, form) if isinstance(value, int | float) else "-"
+
+
+def evaluation_text(name: str, summary: dict[str, Any]) -> Text:
+    """An evaluation's outcome in one line."""
+    crash = summary.get("crash_ratio")
+    crashed = f", crash ratio {100 * crash:.2f} %" if isinstance(crash, int | float) else ""
+    return text(f"{name}: {brief(str(summary.get('suite')), summary)}{crashed}")
+
+
+def filtered(runs: Sequence[RunFolder], filters: Sequence[str]) -> list[RunFolder]:
+    """The runs that meet every ``name=value``; raises `ConfigError` for a name that no run has."""
+    wanted = dict(_split(word) for word in filters)
+    return [run for run in runs if all(matches(run, name, value) for name, value in wanted.items())]
+
+
+def _split(word: str) -> tuple[str, str]:
+    name, equals, value = word.partition("=")
+    valid = (*SHORT, *SETTINGS)
+    if not equals or name not in valid:
+        raise ConfigError(f"--filter: got {word!r}; takes name=value of a setting, or of state{nearest(name, valid)}")
+    return name, value
+
+
+def matches(run: RunFolder, name: str, value: str) -> bool:
+    """Whether a run's setting, state or method has this value."""
+    if name == "state":
+        return str(run.state) == value
+    if name == "id":
+        return run.id.startswith(value)
+    return run.config is not None and setting_text(run.config, name) == value
+
+
+def setting_text(config: Config, name: str) -> str:
+    """A setting, or the preset of a group, as text."""
+    if name == "method":
+        return method_name(config)
+    value: Any = to_dict(config)
+    for part in name.split("."):
+        value = value[part]
+    if isinstance(value, dict):
+        value = value["name"]
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def run_page(run: RunFolder) -> Iterator[Table | Text]:
+    """A run's state, origin, results and settings."""
+    state = run.state
+    yield Text.assemble(text(run.id, "bold"), "  ", (str(state), STYLES.get(state, "")))
+    yield _pairs({"folder": run.path.resolve(), **run.info})
+    for suite, summary in run.evaluations.items():
+        yield Text()
+        yield text(f"eval/{suite}", "bold")
+        yield _pairs(summary)
+    yield Text()
+    yield text("settings", "bold")
+    config = run.load_config()
+    table = Table("setting", "value", "unit", "meaning", box=None, pad_edge=False)
+    for path, setting in SETTINGS.items():
+        about = setting.field.metadata
+        table.add_row(path, text(setting_text(config, path)), about["unit"], about["meaning"])
+    yield table
+
+
+def _pairs(data: dict[str, Any], prefix: str = "") -> Table:
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for name, value in _flat(data, prefix):
+        table.add_row(text(name), text(value))
+    return table
+
+
+def _flat(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in data.items():
+        if isinstance(value, dict) and prefix.count(".") < 3:
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, " ".join(map(str, value)) if name == "argv" and isinstance(value, list) else value
