@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
+import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
@@ -54,9 +55,9 @@ _ADD: dict[str, Callable[[SceneEntity, SceneObstacle, Color], None]] = {
 }
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=256)
 def _obstacles(scene: tuple[SceneObstacle, ...]) -> bytes:
-    """The obstacles' entity without its timestamp; most evaluations draw every episode from a few maps."""
+    """The obstacles' entity without its timestamp; an evaluation draws its episodes from a few maps."""
     entity = SceneEntity(frame_id=WORLD_FRAME, id=OBSTACLES)
     for obstacle in scene:
         _ADD[obstacle.kind](entity, obstacle, _OBSTACLE_COLOR)
@@ -77,3 +78,20 @@ def scene_message(flight: Flight, passing_radius: float, seconds: int, nanos: in
     for entity in update.entities:
         entity.timestamp.seconds, entity.timestamp.nanos = seconds, nanos
     return update.SerializeToString(deterministic=True)
+
+
+def parse_scene(data: bytes) -> tuple[np.ndarray, tuple[SceneObstacle, ...]]:
+    """Waypoints (W, 3) m and obstacles of a serialised scene; obstacles come grouped by kind."""
+    entities = {entity.id: entity for entity in SceneUpdate.FromString(data).entities}
+    waypoints = [_center(sphere.pose) for sphere in entities[GATES].spheres]
+    shapes = entities[OBSTACLES]
+    obstacles = [SceneObstacle("sphere", _center(s.pose), radius=s.size.x / 2) for s in shapes.spheres]
+    obstacles += [
+        SceneObstacle("cylinder", _center(s.pose), radius=s.size.x / 2, height=s.size.z) for s in shapes.cylinders
+    ]
+    obstacles += [SceneObstacle("box", _center(s.pose), edge=s.size.x) for s in shapes.cubes]
+    return np.array(waypoints, np.float64).reshape(-1, 3), tuple(obstacles)
+
+
+def _center(pose: Pose) -> tuple[float, float, float]:
+    return pose.position.x, pose.position.y, pose.position.z

@@ -14,6 +14,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.opcode import Opcode
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from srlrace.files import sync_folder
 from srlrace.recording.container import MESSAGE_HEADER, McapStream
 from srlrace.recording.flight import Flight
 from srlrace.recording.scene import scene_message
@@ -29,14 +30,18 @@ from srlrace.recording.schema import (
     state_schema,
     varint,
 )
-
-EPOCH = 946_684_800 * 10**9
-"""Start of the timeline, ns: 2000-01-01T00:00:00Z. Any fixed time would do; zero reads as missing in some tools."""
-
-STATE_TOPIC, POSE_TOPIC, SCENE_TOPIC, EPISODE_TOPIC = "/state", "/drone/pose", "/scene", "/episode"
-METADATA_NAME = "srlrace"
-PERIOD_KEY = "episode_period_ns"
-CONFIG_NAME, EPISODES_NAME = "config.json", "episodes.csv"
+from srlrace.recording.topics import (
+    CONFIG_NAME,
+    EPISODE_TOPIC,
+    EPISODES_NAME,
+    EPOCH,
+    LIBRARY,
+    METADATA_NAME,
+    PERIOD_KEY,
+    POSE_TOPIC,
+    SCENE_TOPIC,
+    STATE_TOPIC,
+)
 
 ROWS_PER_CHUNK = 8192
 """A longer episode takes several chunks, so that no reader needs more than about 4 MB for one."""
@@ -72,7 +77,7 @@ class RecordingWriter:
         self._radius = passing_radius
         self._last = -1
         self._state, self._pose = state_layout(self._terms), pose_layout()
-        self._file: IO[bytes] = self.part.open("wb")
+        self._file = create(self.part)
         try:
             self._begin(metadata, config_json)
         except BaseException:
@@ -80,7 +85,7 @@ class RecordingWriter:
             raise
 
     def _begin(self, metadata: Mapping[str, str], config_json: bytes) -> None:
-        self._out = out = McapStream(self._file, "srlrace")
+        self._out = out = McapStream(self._file, LIBRARY)
         period = {PERIOD_KEY: str(self._period)}
         pose, scene = (build_file_descriptor_set(kind).SerializeToString(deterministic=True)
                        for kind in (PoseInFrame, SceneUpdate))  # fmt: skip
@@ -162,11 +167,7 @@ class RecordingWriter:
         end = EPOCH + (self._last + 1) * self._period
         self._out.attachment(EPISODES_NAME, "text/csv", episodes_csv, end)
         self._out.finish()
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
-        self.part.replace(self.path)
-        sync_folder(self.path.parent)
+        publish(self._file, self.part, self.path)
 
     def __enter__(self) -> Self:
         return self
@@ -190,10 +191,16 @@ def _record(channel: int, sequence: int, time: int, payload: bytes) -> bytes:
     return header.tobytes() + payload
 
 
-def sync_folder(folder: Path) -> None:
-    """Make a rename in a folder survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def create(path: Path) -> IO[bytes]:
+    """Open a new file in place of an older one, never through a link that somebody left there."""
+    path.unlink(missing_ok=True)
+    return path.open("xb")
+
+
+def publish(file: IO[bytes], part: Path, path: Path) -> None:
+    """Close a complete file and give it its name once its bytes are on the disk."""
+    file.flush()
+    os.fsync(file.fileno())
+    file.close()
+    part.replace(path)
+    sync_folder(path.parent)
