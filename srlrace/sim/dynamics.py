@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from srlrace.sim.airframe import SIZE
 from srlrace.sim.compile import inline, kernel
 from srlrace.sim.quadrotor import integrate, rotor_targets
 from srlrace.sim.vector import lanes, load, store
@@ -44,10 +45,13 @@ def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, subs
     state (17, n): position [m, world], velocity [m/s, world], attitude w, x, y, z (body to world),
     body rates [rad/s, body], rotor thrusts [N]. command (4, n): collective [m/s^2] and body rates [rad/s],
     held for the whole period. plant (4, n): drag along the body axes [1/s] and thrust gain [-].
-    airframe: `Airframe.pack`. All of one float type, C-contiguous.
+    airframe: `Airframe.pack`. All of one float type (float32 or float64), C-contiguous. A drone with a non-finite
+    state or a NaN command ends non-finite, alone. Raises ValueError on other shapes.
     """
-    h = dt / substeps
     n = state.shape[1]
+    if state.shape[0] != 17 or command.shape != (4, n) or plant.shape != (4, n) or airframe.size != SIZE:
+        raise ValueError("advance needs state (17, n), command (4, n), plant (4, n) and an Airframe's packed constants")
+    h = dt / substeps
     for start in range(0, n, lanes(state)):
         count = n - start
         p, v = load3(state, 0, start, count), load3(state, 3, start, count)

@@ -18,6 +18,7 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
+from numba.core.errors import TypingError
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, lower_cast, models, register_model
@@ -76,7 +77,7 @@ def _number_to_vector(context: Any, builder: Any, source: Any, target: VectorTyp
 class _Arithmetic(AbstractTemplate):
     def generic(self, args: Any, keywords: Any) -> Any:
         vectors = [arg for arg in args if isinstance(arg, VectorType)]
-        if not vectors or keywords:
+        if not vectors or keywords or any(vector != vectors[0] for vector in vectors):
             return None
         return signature(vectors[0], *[vectors[0]] * len(args))
 
@@ -114,6 +115,15 @@ _operation(max, 2, _maximum)
 _operation(math.sqrt, 1, _square_root)
 
 
+def _vector_of(array: Any) -> VectorType:
+    """Vector type for the elements of `array`, whose rows must lie packed in memory."""
+    if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != 2:
+        raise TypingError(f"vectors are loaded from and stored to C-contiguous matrices, not {array}")
+    if array.dtype not in (types.float32, types.float64):
+        raise TypingError(f"vectors hold float32 or float64, not {array.dtype}")
+    return VectorType(array.dtype)
+
+
 def _address(context: Any, builder: Any, array_type: Any, array: Any, row: Any, column: Any, vector: Any) -> Any:
     view = context.make_array(array_type)(context, builder, array)
     width = builder.extract_value(view.shape, 1)
@@ -129,14 +139,14 @@ def _mask(builder: Any, count: Any, lanes: int) -> Any:
 @intrinsic
 def lanes(typingctx: Any, array: Any) -> Any:
     """Lanes of a vector with the float type of `array`."""
-    count = VectorType(array.dtype).lanes
+    count = _vector_of(array).lanes
     return signature(types.intp, array), lambda context, builder, sig, args: context.get_constant(types.intp, count)
 
 
 @intrinsic
 def load(typingctx: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
     """Vector of `array[row, column : column + lanes]`; lanes from `count` on are not read and hold 0."""
-    vector = VectorType(array.dtype)
+    vector = _vector_of(array)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         value_type = context.get_value_type(vector)
@@ -153,6 +163,8 @@ def load(typingctx: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
 @intrinsic
 def store(typingctx: Any, array: Any, row: Any, column: Any, count: Any, value: Any) -> Any:
     """Write `value` to `array[row, column : column + lanes]`; lanes from `count` on are left alone."""
+    if value != _vector_of(array):
+        raise TypingError(f"cannot store {value} in {array}")
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         block, first_row, first_column, left, content = args

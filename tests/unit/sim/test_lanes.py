@@ -6,8 +6,10 @@ from collections.abc import Callable
 import numba
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
+from srlrace.sim.airframe import Airframe
 from srlrace.sim.compile import FASTMATH
 from srlrace.sim.dynamics import advance
 from srlrace.sim.vector import REGISTER_BYTES
@@ -52,9 +54,9 @@ def test_attitude_of_zeros_is_seen_as_non_finite(fly: Fly, random_states: Draw, 
     np.testing.assert_array_equal(finite.all(axis=0), [True, False, True])
 
 
-def test_kernel_writes_only_the_state(random_states: Draw, random_commands: Draw, airframe: object) -> None:
+def test_kernel_writes_only_the_state(random_states: Draw, random_commands: Draw, airframe: Airframe) -> None:
     state, command, plant = random_states(5, 7), random_commands(5, 8), np.full((4, 5), 0.5)
-    packed = airframe.pack(np.float64)  # type: ignore[attr-defined]
+    packed = airframe.pack(np.float64)
     copies = command.copy(), plant.copy(), packed.copy()
     padded = np.full((19, 5), 7.0)
     padded[1:18] = state
@@ -62,6 +64,20 @@ def test_kernel_writes_only_the_state(random_states: Draw, random_commands: Draw
     for array, copy in zip((command, plant, packed), copies, strict=True):
         np.testing.assert_array_equal(array, copy)
     np.testing.assert_array_equal(padded[[0, 18]], 7.0)
+
+
+@pytest.mark.parametrize("wrong", ["columns", "rows", "constants"])
+def test_arrays_of_other_shapes_are_refused(airframe: Airframe, wrong: str) -> None:
+    state, command = np.zeros((17, 5)), np.zeros((3 if wrong == "rows" else 4, 4 if wrong == "columns" else 5))
+    constants = airframe.pack(np.float64)[: 7 if wrong == "constants" else None]
+    with pytest.raises(ValueError, match="advance needs"):
+        advance(state, command, np.zeros((4, 5)), constants, 0.02, 8)
+
+
+@pytest.mark.parametrize("state", [np.zeros((17, 10))[:, ::2], np.zeros((17, 5), np.float32), np.zeros((17, 5), int)])
+def test_arrays_of_other_types_are_refused(airframe: Airframe, state: Array) -> None:
+    with pytest.raises(TypingError):
+        advance(state, np.zeros((4, 5)), np.zeros((4, 5)), airframe.pack(np.float64), 0.02, 8)
 
 
 @pytest.mark.skipif(REGISTER_BYTES < 32, reason="host without wide registers")
