@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from srlrace.files import read_limited
 from srlrace.report.experiments import SUITES
 from srlrace.runs import RunError, RunFolder, State, list_runs
 from srlrace.schema import AlgoConfig, Config
@@ -80,18 +82,16 @@ def _read_suites(folder: RunFolder, run: Run) -> list[str]:
             continue
         try:
             run.evaluations[suite] = read_evaluation(folder, suite, run.config)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, OverflowError) as error:
             problems.append(f"{run.id}: eval/{suite} cannot be read: {error}")
     return problems
 
 
 def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation:
-    """Read ``eval/<suite>``; raises OSError or ValueError with what is wrong."""
+    """Read ``eval/<suite>``; raises OSError, ValueError or OverflowError with what is wrong."""
     path = folder.file("eval", suite, "episodes.csv")
-    if path.stat().st_size > EPISODES_LIMIT:
-        raise ValueError(f"episodes.csv is larger than {EPISODES_LIMIT // 1_000_000} MB")
     timed = "lap_time_s" if config.env.laps else "time_s"
-    table = pd.read_csv(path, usecols=["episode", "map", "outcome", timed])
+    table = pd.read_csv(BytesIO(read_limited(path, EPISODES_LIMIT)), usecols=["episode", "map", "outcome", timed])
     if table.empty:
         raise ValueError("no episode")
     unknown = set(table["outcome"]) - set(OUTCOMES)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 from rich.console import Console
 
+from srlrace.confdir import conf_dir
 from srlrace.files import atomic_write
-from srlrace.hydra_bridge import compose, conf_dir
+from srlrace.hydra_bridge import compose
 from srlrace.report.collect import Run, collect
 from srlrace.report.csv_tables import render_csv
 from srlrace.report.experiments import ExperimentError, load_experiments, load_paper
@@ -44,13 +45,13 @@ def read_report(root: Path) -> tuple[tuple[Run, ...], Report]:
     """Return the runs below ``root`` and the report built from them."""
     folder = conf_dir()
     runs, problems = collect(root)
-    composed = lru_cache(maxsize=None)(_compose)
     built = build_report(
-        runs, load_experiments(folder / "experiment"), load_paper(folder / "paper.yaml"), composed, problems
+        runs, load_experiments(folder / "experiment"), load_paper(folder / "paper.yaml"), _compose, problems
     )
     return runs, built
 
 
+@cache
 def _compose(overrides: tuple[str, ...]) -> Config:
     return compose(list(overrides))
 

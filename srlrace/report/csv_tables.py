@@ -11,7 +11,7 @@ COLUMNS = (
     "environment", "method", "time_s", "time_lo", "time_hi", "crash_pct", "crash_lo", "crash_hi", "finished", "crashed",
     "episodes", "seeds", "penalised_time_s", "t_ref_s", "gap_pct", "paper_time_s", "paper_crash_pct", "runs",
 )  # fmt: skip
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")  # a spreadsheet would run what begins so
+FORMULA_STARTS = ("=", "+", "-", "@")  # a spreadsheet would run what begins so
 
 Value = str | int | float | None
 
@@ -57,5 +57,5 @@ def _field(value: Value) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.6g}"
-    text = str(value)
+    text = " ".join(str(value).split())  # one line: readers disagree about a bare carriage return
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text

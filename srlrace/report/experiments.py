@@ -56,8 +56,8 @@ def load_experiment(path: Path) -> Experiment:
     data = _mapping(path)
     try:
         rows = tuple(_row(row) for row in data.pop("rows"))
-        lists = {key: tuple(data.pop(key)) for key in ("suites", "columns", "notes") if key in data}
-        experiment = Experiment(name=path.stem, rows=rows, **lists, **data)
+        data |= {key: tuple(data[key]) for key in ("suites", "columns", "notes") if key in data}
+        experiment = Experiment(name=path.stem, rows=rows, **data)
     except (KeyError, TypeError, AttributeError) as error:
         raise ExperimentError(f"{path}: not an experiment file ({error})") from None
     _check(experiment, path)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from string import ascii_lowercase
 
-from srlrace.report.model import Cell, Comparison, Estimate, OtherRun, Table
+from srlrace.report.model import Cell, Comparison, Estimate, Numbers, OtherRun, Table
 
 NOT_RUN = "not run"
 OTHERS_TITLE = "Evaluated runs outside these tables"
@@ -37,18 +37,28 @@ def grid(table: Table) -> Grid:
 
 def footnotes(table: Table) -> tuple[str, ...]:
     """Return the sentences under a table: runs and remarks by mark, comparisons, what fills the gaps, general notes."""
-    lines = []
-    missing: dict[str, list[str]] = {}
-    for mark, cell in zip(marks(len(table.cells)), table.cells, strict=True):
-        if cell.numbers is None:
-            missing.setdefault(cell.command, []).append(mark)
-            continue
-        lines.append("; ".join([f"{mark}: {', '.join(cell.runs)}", *_iqms(cell), *cell.notes]))
-        if len(cell.numbers.seeds) < table.experiment.seeds:
-            missing.setdefault(cell.command, []).append(mark)
+    marked = list(zip(marks(len(table.cells)), table.cells, strict=True))
+    filled = [(mark, cell) for mark, cell in marked if cell.numbers]
+    short = [(mark, cell) for mark, cell in marked if _seed_count(cell) < table.experiment.seeds]
+    lines = [f"Runs of {cells}: {runs}" for runs, cells in _by_text((m, ", ".join(c.runs)) for m, c in filled)]
+    lines += [f"{cells}: {note}." for note, cells in _by_text((m, note) for m, c in filled for note in c.notes)]
+    iqms = [f"{mark} {_iqm(cell.numbers)}" for mark, cell in filled if cell.numbers and cell.numbers.time_iqm_s]
+    lines += [f"Interquartile means over seeds: {'; '.join(iqms)}."] if iqms else []
     lines += [_comparison(comparison) for comparison in table.comparisons]
-    lines += [f"To run or complete {', '.join(cells)}: {command}" for command, cells in missing.items()]
+    lines += [f"To run or complete {cells}: {command}" for command, cells in _by_text((m, c.command) for m, c in short)]
     return (*lines, *table.notes)
+
+
+def _by_text(marked: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return each distinct text with the marks that it belongs to."""
+    found: dict[str, list[str]] = {}
+    for mark, text in marked:
+        found.setdefault(text, []).append(mark)
+    return [(text, ", ".join(together)) for text, together in found.items()]
+
+
+def _seed_count(cell: Cell) -> int:
+    return len(cell.numbers.seeds) if cell.numbers else 0
 
 
 def heading(table: Table) -> str:
@@ -108,11 +118,8 @@ def _other(other: OtherRun) -> tuple[str, ...]:
     return other.run, other.method, other.suite, estimate(n.time_s), estimate(n.crash_pct), *counts
 
 
-def _iqms(cell: Cell) -> list[str]:
-    if cell.numbers is None:
-        return []
-    parts = [("time", cell.numbers.time_iqm_s, "s"), ("crash", cell.numbers.crash_iqm_pct, "%")]
-    return [f"IQM {name} {estimate(value)} {unit}" for name, value, unit in parts if value is not None]
+def _iqm(numbers: Numbers) -> str:
+    return f"{estimate(numbers.time_iqm_s)} s, {estimate(numbers.crash_iqm_pct)} %"
 
 
 def _comparison(comparison: Comparison) -> str:

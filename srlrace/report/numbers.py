@@ -92,7 +92,7 @@ def _clustered(evaluation: Evaluation, top: np.ndarray, bottom: np.ndarray) -> C
     if len(maps) == 1:
         maps, index = np.unique(evaluation.episode, return_inverse=True)
     return ClusteredRatio(
-        numerator=np.bincount(index, weights=top),
-        denominator=np.bincount(index, weights=bottom),
+        numerator=np.bincount(index, weights=top).astype(np.float64),
+        denominator=np.bincount(index, weights=bottom).astype(np.float64),
         flown=(evaluation.seed, *maps.tolist()),
     )

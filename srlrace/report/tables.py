@@ -44,12 +44,10 @@ def build_report(
 
 
 def _table(runs: Sequence[Run], experiment: Experiment, paper: Paper, compose: Compose) -> Table:
-    places = [_place(runs, row, suite, compose) for row in experiment.rows for suite in experiment.suites]
+    places = [_place(runs, row, suite, compose) for suite in experiment.suites for row in experiment.rows]
     chosen = _choose(places, experiment)
     cells = tuple(_cell(runs, experiment, paper, place, group) for place, group in zip(places, chosen, strict=True))
-    return Table(
-        experiment, cells, _comparisons(experiment, places, chosen), table_notes(experiment, paper, chosen)
-    )
+    return Table(experiment, cells, _comparisons(experiment, places, chosen), table_notes(experiment, paper, chosen))
 
 
 def _place(runs: Sequence[Run], row: Row, suite: str, compose: Compose) -> Place:
@@ -68,11 +66,11 @@ def _choose(places: Sequence[Place], experiment: Experiment) -> list[Group | Non
 
 
 def _pairs(experiment: Experiment) -> list[tuple[int, int]]:
-    """Return the places that are compared: consecutive rows, suite by suite."""
+    """Return the places that are compared: consecutive rows of each suite."""
     if not experiment.paired:
         return []
     rows, suites = len(experiment.rows), len(experiment.suites)
-    return [(row * suites + suite, (row + 1) * suites + suite) for row in range(0, rows, 2) for suite in range(suites)]
+    return [(place, place + 1) for place in range(0, rows * suites, 2)]
 
 
 def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Place, group: Group | None) -> Cell:

@@ -1,4 +1,4 @@
-"""The report in a terminal."""
+"""The report in a terminal of 80 columns or more."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from srlrace.report.layout import NOT_RUN, OTHERS_TITLE, footnotes, grid, heading, others_grid
-from srlrace.report.markdown import TEXT_COLUMNS
-from srlrace.report.model import Report, Table
+from srlrace.report.layout import NOT_RUN, OTHERS_TITLE, footnotes, heading, marks, number
+from srlrace.report.model import Cell, Estimate, Numbers, OtherRun, Report, Table
 
 
 def print_report(report: Report, console: Console) -> None:
@@ -19,44 +18,76 @@ def print_report(report: Report, console: Console) -> None:
     for table in report.tables:
         console.print(terminal_table(table))
     if report.others:
-        console.print(_others(report))
+        console.print(_others(report.others))
     for line in report.problems:
         console.print(Text(f"! {line}", style="yellow"))
 
 
 def terminal_table(table: Table) -> RenderableType:
-    """Return one table that fits 80 columns: intervals stand under their value, methods under their environment."""
-    laid = grid(table)
-    view = _table(heading(table))
-    for name in laid.head[1:]:
-        view.add_column(_narrow(name), justify="left" if name in TEXT_COLUMNS else "right", no_wrap=name != "Method")
-    for environment, rows in groupby(laid.rows, key=lambda row: row[0]):
+    """Return one table: the paper's number beside ours in brackets, the interval under them."""
+    if not table.experiment.paper_table and not any(cell.numbers for cell in table.cells):
+        line = Text(f"  {NOT_RUN}; to run: {table.cells[0].command}", style="dim")
+        return Group(Text(heading(table), style="bold"), line, Text())
+    paper = " (paper)" if table.experiment.paper_table else ""
+    names = ("Method", f"Time (s)\nours{paper}", f"Crash (%)\nours{paper}", "Finished\nCrashed")
+    view = _table(heading(table), (*names, "Penalised\ntime (s)", "Seeds"))
+    numbered = zip(marks(len(table.cells)), table.cells, strict=True)
+    for environment, cells in groupby(numbered, key=lambda entry: entry[1].environment):
         view.add_row(Text(environment, style="bold"))
-        for row in rows:
-            view.add_row(*(_text(value) for value in row[1:]))
+        for mark, cell in cells:
+            view.add_row(*map(_text, _values(cell, mark, table.experiment.seeds)))
         view.add_section()
     notes = [Text(f"  {line}", style="dim", overflow="fold") for line in footnotes(table)]
     return Group(view, *notes, Text())
 
 
-def _others(report: Report) -> RenderableType:
-    laid = others_grid(report.others)
-    view = _table(OTHERS_TITLE)
-    for name in laid.head:
-        view.add_column(_narrow(name), justify="left" if name in TEXT_COLUMNS else "right", overflow="fold")
-    for row in laid.rows:
-        view.add_row(*(_text(value) for value in row))
+def _others(others: tuple[OtherRun, ...]) -> RenderableType:
+    view = _table(OTHERS_TITLE, ("Run", "Time (s)", "Crash (%)", "Finished\nCrashed"))
+    for other in others:
+        name = Text(other.run, overflow="fold").append(f"\n{other.method}, {other.suite}", style="dim")
+        numbers = other.numbers
+        view.add_row(name, *map(_text, (_interval(numbers.time_s), _interval(numbers.crash_pct), _counts(numbers))))
     return Group(view, Text())
 
 
-def _table(title: str) -> RichTable:
-    return RichTable(title=Text(title, style="bold"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+def _table(title: str, names: tuple[str, ...]) -> RichTable:
+    style = {"title": Text(title, style="bold"), "title_justify": "left", "box": box.SIMPLE_HEAD}
+    view = RichTable(**style, padding=(0, 1, 0, 0))  # type: ignore[arg-type]
+    view.add_column(Text(names[0]), min_width=16, overflow="fold")
+    for name in names[1:]:
+        view.add_column(Text(name), justify="right", no_wrap=True)
+    return view
 
 
-def _narrow(heading: str) -> Text:
-    return Text(heading.replace(" (", "\n("))
+def _values(cell: Cell, mark: str, seeds: int) -> tuple[str, ...]:
+    numbers, name = cell.numbers, f"{mark}  {cell.method}"
+    if numbers is None:
+        papers = (cell.paper.time_s, cell.paper.crash_pct)
+        return (name, *(_beside(NOT_RUN, paper, "\n") for paper in papers), "-", "-", f"0/{seeds}")
+    return (
+        name,
+        _interval(numbers.time_s, cell.paper.time_s),
+        _interval(numbers.crash_pct, cell.paper.crash_pct),
+        _counts(numbers),
+        number(numbers.penalised_time_s),
+        f"{len(numbers.seeds)}/{seeds}",
+    )
+
+
+def _interval(value: Estimate | None, paper: float | None = None) -> str:
+    if value is None:
+        return _beside("-", paper)
+    return f"{_beside(number(value.value), paper)}\n[{value.low:.2f}, {value.high:.2f}]"
+
+
+def _beside(ours: str, paper: float | None, separator: str = " ") -> str:
+    return ours if paper is None else f"{ours}{separator}({paper:.2f})"
+
+
+def _counts(numbers: Numbers) -> str:
+    return f"{numbers.finished}/{numbers.episodes}\n{numbers.crashed}/{numbers.episodes}"
 
 
 def _text(value: str) -> Text:
-    """Return the value as it is, never as markup: its interval and its count on a line of their own."""
-    return Text(value.replace(" [", "\n["), style="dim italic" if value == NOT_RUN else "")
+    """Return the value as it is, never read as markup."""
+    return Text(value, style="dim italic" if value.startswith(NOT_RUN) else "")

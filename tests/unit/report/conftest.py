@@ -3,42 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hydra import compose as hydra_compose
-from hydra import initialize_config_dir
-from omegaconf import OmegaConf
 
-from srlrace.config import Config, parse_config, run_id, to_dict
+from srlrace import hydra_bridge
+from srlrace.config import Config, run_id, to_dict
 from srlrace.report.collect import Evaluation, Run
 from srlrace.runs import State
 
-CONF = Path(__file__).parents[3] / "conf"
 HEADER = (
     "episode,seed,map,outcome,time_s,lap_time_s,last_gate_time_s,gates_passed,min_clearance_m,mean_speed_mps,"
     "peak_speed_mps,path_length_m,peak_body_rate_radps"
 )
 
+
 @pytest.fixture(scope="session")
-def lab() -> Iterator[SimpleNamespace]:
+def lab() -> SimpleNamespace:
     """What tests of the report need: the presets, and makers of evaluations, runs and run folders."""
-    known: dict[tuple[str, ...], Config] = {}
-
-    def build(overrides: tuple[str, ...]) -> Config:
-        if overrides not in known:
-            data = OmegaConf.to_container(hydra_compose("train", list(overrides)))
-            known[overrides] = parse_config(data)
-        return known[overrides]
-
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        yield SimpleNamespace(
-            compose=build, evaluation=evaluation, run=run, with_seed=with_seed, write_run=write_run, conf=CONF
-        )
+    return SimpleNamespace(
+        compose=lru_cache(hydra_bridge.compose),
+        evaluation=evaluation,
+        run=run,
+        with_seed=with_seed,
+        write_run=write_run,
+    )
 
 
 def evaluation(times: list[float | None], suite: str = "train_map", maps: list[int] | None = None) -> Evaluation:

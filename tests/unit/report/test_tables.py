@@ -83,7 +83,8 @@ def test_one_changed_setting_makes_another_method(lab: SimpleNamespace, change: 
 
 def test_a_label_does_not_make_another_method_nor_another_seed(lab: SimpleNamespace) -> None:
     config = lab.compose(SRL.overrides)
-    plain, labelled = lab.run(config, lab.evaluation([5.0])), lab.run(replace(config, name="mine"), lab.evaluation([9.0]))
+    plain = lab.run(config, lab.evaluation([5.0]))
+    labelled = lab.run(replace(config, name="mine"), lab.evaluation([9.0]))
     assert only_cell(report(lab, [labelled], SRL)).runs == (labelled.id,)
     assert only_cell(report(lab, [labelled, plain], SRL)).runs == (plain.id,)
 
