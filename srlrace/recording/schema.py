@@ -49,7 +49,7 @@ def state_fields(reward_terms: Sequence[str]) -> tuple[str, ...]:
     if len(set(reward_terms)) != len(reward_terms):
         raise ValueError("reward terms must have different names")
     fixed = tuple(name for names in STATE_COLUMNS.values() for name in names)
-    return ("episode", *fixed, *(f"reward_{term}" for term in reward_terms))
+    return ("episode", *fixed, "speed", *(f"reward_{term}" for term in reward_terms))
 
 
 def _file(name: str, type_name: str, fields: Sequence[tuple[str, int, int]]) -> descriptor_pb2.FileDescriptorSet:

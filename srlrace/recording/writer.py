@@ -142,6 +142,7 @@ class RecordingWriter:
             header["log_time"] = header["publish_time"] = times
         state, pose = rows["state"]["message"], rows["pose"]["message"]
         state["episode"] = flight.episode
+        state["speed"] = np.linalg.norm(np.asarray(flight.velocity_w, np.float64), axis=1)
         for array, names in STATE_COLUMNS.items():
             columns = np.asarray(getattr(flight, array), np.float64).reshape(len(times), -1).T
             for name, column in zip(names, columns, strict=True):

@@ -47,6 +47,7 @@ def test_every_number_of_every_state_arrives(recording: Path, flights: Sequence[
             np.testing.assert_array_equal(action, flight.action[row])
             rewards = [state.reward_progress, state.reward_safety, state.reward_collision]
             np.testing.assert_array_equal(rewards, flight.reward_terms[row])
+            assert state.speed == pytest.approx(np.linalg.norm(flight.velocity_w[row]), rel=1e-15)
             assert (state.clearance, state.target) == (flight.clearance[row], flight.target[row])
     assert next(messages, None) is None
 
