@@ -19,13 +19,14 @@ cell, one per (map, y, x) tile, then the records: cell ``[near count, swept coun
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from srlrace.sim.compile import builder, inline
+from srlrace.sim.compile import builder
 from srlrace.world.lattice import LAST, ORIGIN, PITCH, RADIUS, Floats, Ints, Real, axis_centre, squared_distance
 
 CELL = 1.0  # m, edge of a cell in x and y, and in z where the obstacles are not all trees
@@ -35,6 +36,8 @@ OUTSIDE = 2.0  # m, the grid goes on beyond the world's bounds: a drone leaving 
 ROUNDING = 1e-3  # m, inflation of the near list against float32 rounding of positions
 RAY_INFLATION = 1.0  # m, largest inflation of obstacles that tiles are good for
 Offsets = NDArray[np.int64]
+Vector = tuple[float, float, float]
+Indices = tuple[int, int, int]
 
 HEADER = 8
 INV = 3  # geometry: [low x y z, 1 / cell x y z]
@@ -55,35 +58,34 @@ def is_flat(lattices: NDArray[np.float64]) -> bool:
     return bool(stacked and (layers == layers[:1]).all())
 
 
-@inline
-def axis_bounds(lattices: Floats, i: int, axis: int, centre: Floats, half: Floats) -> tuple[Real, Real]:
+@builder
+def axis_bounds(lattices: Floats, i: int, axis: int, centre: Real, half: Real) -> tuple[Real, Real]:
     """Smallest and largest squared distance along one axis, over an interval, to the nearest layer."""
     low, high = centre - half, centre + half
-    a, b = low - axis_centre(low, lattices, i, axis), high - axis_centre(high, lattices, i, axis)
+    a, b = axis_centre(low, lattices, i, axis), axis_centre(high, lattices, i, axis)
     first = lattices[i, ORIGIN + axis]
     last = first + lattices[i, PITCH + axis] * lattices[i, LAST + axis]
-    largest = max(abs(a), abs(b))
+    largest = max(abs(low - a), abs(high - b))
     if lattices[i, LAST + axis] > 0 and high > first and low < last:
         largest = max(largest, 0.5 * lattices[i, PITCH + axis])
-    # The interval holds a layer if rounding differs at its ends or the distance changes sign.
-    layer = axis_centre(low, lattices, i, axis) != axis_centre(high, lattices, i, axis) or a * b <= 0
-    smallest = 0.0 if layer else min(abs(a), abs(b))
+    # The interval holds a layer if the nearest one differs at its ends, or lies between them.
+    smallest = 0.0 if a != b or low <= a <= high else min(abs(low - a), abs(high - b))
     return smallest * smallest, largest * largest
 
 
-@inline
-def bounds(lattices: Floats, i: int, centre: Floats, half: Floats) -> tuple[Real, Real]:
+@builder
+def bounds(lattices: Floats, i: int, centre: Vector, half: Vector) -> tuple[Real, Real]:
     """Smallest and largest distance to lattice `i` over a box."""
     low = high = 0.0
     for axis in range(3):
         smallest, largest = axis_bounds(lattices, i, axis, centre[axis], half[axis])
         low += smallest
         high += largest
-    return np.sqrt(low), np.sqrt(high)
+    return math.sqrt(low), math.sqrt(high)
 
 
-@inline
-def largest_difference(lattices: Floats, j: int, i: int, centre: Floats, half: Floats) -> Real:
+@builder
+def largest_difference(lattices: Floats, j: int, i: int, centre: Vector, half: Vector) -> Real:
     """Upper bound over a box of (squared distance to `j` - squared distance to `i`)."""
     total = 0.0
     for axis in range(3):
@@ -99,104 +101,147 @@ def largest_difference(lattices: Floats, j: int, i: int, centre: Floats, half: F
 
 
 @builder
-def select(lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Floats, half: Floats, prune: bool) -> Ints:
-    """Obstacles of `pool` a box needs: among the `nearest` within `reach`, or nearest by surface; sorted."""
-    m = len(pool)
-    low, high, key = np.empty(m), np.empty(m), np.empty(m)
+def keep_reachable(
+    lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Vector, half: Vector, out: Ints
+) -> int:
+    """Write to `out` the obstacles of `pool` that distance bounds over the box cannot rule out; return how many."""
+    low, high, best = np.empty(len(pool)), np.empty(len(pool)), np.full(nearest, reach)
     surface = np.inf
-    for k in range(m):
-        i = pool[k]
-        low[k], high[k] = bounds(lattices, i, centre, half)
-        key[k] = squared_distance(centre[0], centre[1], centre[2], lattices, i)
-        surface = min(surface, high[k] - lattices[i, RADIUS])
-    ceiling = reach if m <= nearest else min(reach, np.sort(high)[nearest - 1])
-    order = np.argsort(key)
-    near, touch = np.empty(m, np.bool_), np.empty(m, np.bool_)
-    kept = np.empty(m, np.int64)
-    n = 0
-    for k in order:
-        near[n] = nearest > 0 and low[k] <= ceiling
-        touch[n] = low[k] - lattices[pool[k], RADIUS] <= surface
-        if near[n] or touch[n]:
-            kept[n] = k
-            n += 1
-    result = np.empty(n, np.int32)
+    for k in range(len(pool)):
+        low[k], high[k] = bounds(lattices, pool[k], centre, half)
+        surface = min(surface, high[k] - lattices[pool[k], RADIUS])
+        if nearest > 0 and high[k] < best[nearest - 1]:
+            slot = nearest - 1
+            while slot > 0 and best[slot - 1] > high[k]:
+                best[slot] = best[slot - 1]
+                slot -= 1
+            best[slot] = high[k]
     count = 0
-    for a in range(n):
-        i = pool[kept[a]]
-        wanted, closer, touching = near[a], 0, touch[a]
-        for b in range(n):
-            if not prune or a == b or not (touching or (wanted and closer < nearest)):
-                continue
-            j = pool[kept[b]]
-            if largest_difference(lattices, j, i, centre, half) < 0:
-                closer += 1
-                touching = touching and lattices[j, RADIUS] < lattices[i, RADIUS]
-            elif high[kept[b]] - lattices[j, RADIUS] < low[kept[a]] - lattices[i, RADIUS]:
-                touching = False
-        if touching or (wanted and closer < nearest):
-            result[count] = i
+    for k in range(len(pool)):
+        if (nearest > 0 and low[k] <= best[nearest - 1]) or low[k] - lattices[pool[k], RADIUS] <= surface:
+            out[count] = pool[k]
             count += 1
-    return result[:count]
+    return count
 
 
 @builder
-def within(lattices: Floats, pool: Ints, reach: Real, centre: Floats, half: Floats) -> Ints:
-    """Obstacles with a surface within `reach` of a box, nearest first."""
-    result, key = np.empty(len(pool), np.int32), np.empty(len(pool))
+def is_candidate(
+    lattices: Floats, rivals: Ints, i: int, nearest: int, reach: Real, centre: Vector, half: Vector
+) -> bool:
+    """Whether obstacle `i` can be among the `nearest` within `reach`, or nearest by surface, somewhere in the box."""
+    low, _ = bounds(lattices, i, centre, half)
+    closer, touching = 0, True
+    for j in rivals:
+        if largest_difference(lattices, j, i, centre, half) < 0:
+            closer += 1
+            touching = touching and lattices[j, RADIUS] < lattices[i, RADIUS]
+        if touching and lattices[j, RADIUS] != lattices[i, RADIUS]:
+            high = bounds(lattices, j, centre, half)[1]
+            touching = not high - lattices[j, RADIUS] < low - lattices[i, RADIUS]
+        if closer >= nearest and not touching:
+            return False
+    return touching or low <= reach
+
+
+@builder
+def sort_by_distance(lattices: Floats, ids: Ints, centre: Vector) -> None:
+    """Sort obstacles in place, the nearest to a point first."""
+    key = np.empty(len(ids))
+    for k in range(len(ids)):
+        i, distance = ids[k], squared_distance(centre[0], centre[1], centre[2], lattices, ids[k])
+        slot = k
+        while slot > 0 and key[slot - 1] > distance:
+            key[slot], ids[slot] = key[slot - 1], ids[slot - 1]
+            slot -= 1
+        key[slot], ids[slot] = distance, i
+
+
+@builder
+def candidates(
+    lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Vector, half: Vector, out: Ints
+) -> int:
+    """Write to `out` the obstacles of `pool` that the box needs, nearest to its centre first; return how many."""
+    rivals = np.empty_like(pool)
+    rivals = rivals[: keep_reachable(lattices, pool, nearest, reach, centre, half, rivals)]
+    sort_by_distance(lattices, rivals, centre)  # the nearest rule out the rest soonest
     count = 0
-    for i in pool:
-        if bounds(lattices, i, centre, half)[0] - lattices[i, RADIUS] <= reach:
-            result[count], key[count] = i, squared_distance(centre[0], centre[1], centre[2], lattices, i)
+    for i in rivals:
+        if is_candidate(lattices, rivals, i, nearest, reach, centre, half):
+            out[count] = i
             count += 1
-    return result[:count][np.argsort(key[:count])]
+    return count
+
+
+@builder
+def box(low: Vector, size: Vector, first: Indices, count: Indices, inflation: Real) -> tuple[Vector, Vector]:
+    """Centre and half extents of a block of cells, inflated."""
+    x, y, z = 0.5 * size[0] * count[0], 0.5 * size[1] * count[1], 0.5 * size[2] * count[2]
+    centre = (low[0] + first[0] * size[0] + x, low[1] + first[1] * size[1] + y, low[2] + first[2] * size[2] + z)
+    return centre, (x + inflation, y + inflation, z + inflation)
+
+
+@builder
+def cell_records(
+    lattices: Floats, pool: Ints, low: Vector, size: Vector, cell: Indices, nearest: int, reach: Real, out: Ints
+) -> int:
+    """Write the record of one cell to `out`, the candidates being in `pool`; return its length."""
+    centre, half = box(low, size, cell, (1, 1, 1), ROUNDING)
+    out[0] = candidates(lattices, pool, nearest, reach, centre, half, out[2:])
+    centre, half = box(low, size, cell, (1, 1, 1), MARGIN + ROUNDING)
+    out[1] = candidates(lattices, pool, 0, 0.0, centre, half, out[2 + out[0] :])
+    return 2 + out[0] + out[1]
+
+
+@builder
+def tile_records(
+    lattices: Floats, everything: Ints, low: Vector, size: Vector, first: Indices, count: Indices, nearest: int,
+    reach: Real, cells: Offsets, out: Ints,
+) -> int:  # fmt: skip
+    """Write the records of a tile to `out` and where its cells' start to `cells`; return their length."""
+    centre, half = box(low, size, first, count, ROUNDING)
+    used = 1
+    for i in everything:
+        if bounds(lattices, i, centre, half)[0] - lattices[i, RADIUS] <= reach + RAY_INFLATION:
+            out[used] = i
+            used += 1
+    out[0] = used - 1
+    sort_by_distance(lattices, out[1:used], centre)
+    pool = np.empty_like(everything)
+    for iz in range(first[2], first[2] + count[2]):
+        centre, half = box(low, size, (first[0], first[1], iz), (count[0], count[1], 1), MARGIN + ROUNDING)
+        kept = pool[: keep_reachable(lattices, everything, nearest, reach, centre, half, pool)]
+        for iy in range(first[1], first[1] + count[1]):
+            for ix in range(first[0], first[0] + count[0]):
+                cells[iz, iy, ix] = used
+                used += cell_records(lattices, kept, low, size, (ix, iy, iz), nearest, reach, out[used:])
+    return used
 
 
 @builder
 def map_records(
-    lattices: Floats,
-    first: int,
-    last: int,
-    low: Floats,
-    size: Floats,
-    shape: tuple[int, int, int],
-    nearest: int,
-    reach: Real,
+    lattices: Floats, everything: Ints, low: Vector, size: Vector, shape: Indices, nearest: int, reach: Real
 ) -> tuple[Offsets, Offsets, Ints]:
-    """Records of one map, whose obstacles are rows `first` to `last`: (cell offsets, tile offsets, records)."""
+    """Records of the map that owns the rows `everything`: (cell offsets, tile offsets, records)."""
     nx, ny, nz = shape
-    tiles_x, tiles_y = (nx + TILE - 1) // TILE, (ny + TILE - 1) // TILE
-    everything = np.arange(first, last)
-    cells, tiles = np.zeros((nz, ny, nx), np.int64), np.zeros((tiles_y, tiles_x), np.int64)
-    records = np.empty(1 << 14, np.int32)
+    cells = np.zeros((nz, ny, nx), np.int64)
+    tiles = np.zeros(((ny + TILE - 1) // TILE, (nx + TILE - 1) // TILE), np.int64)
+    spare = (1 + TILE * TILE * nz * 2) * (2 + len(everything))  # the longest records a tile can have
+    records = np.empty(spare, np.int32)
     used = 0
-    spare = 4 + 3 * len(everything)
-    for ty, tx in np.ndindex(tiles_y, tiles_x):
-        column = np.array([tx * TILE, ty * TILE, 0]) * size
-        half = np.array([TILE * size[0], TILE * size[1], nz * size[2]]) / 2
-        ids = within(lattices, everything, reach + RAY_INFLATION, low + column + half, half + ROUNDING)
-        if used + spare > len(records):
-            records = np.concatenate((records, np.empty(len(records) + spare, np.int32)))
-        tiles[ty, tx] = used
-        records[used] = len(ids)
-        records[used + 1 : used + 1 + len(ids)] = ids
-        used += 1 + len(ids)
-        for iz in range(nz):
-            slab_half = np.array([half[0], half[1], size[2] / 2])
-            slab_centre = low + np.array([column[0], column[1], iz * size[2]]) + slab_half
-            pool = select(lattices, everything, nearest, reach, slab_centre, slab_half + MARGIN + ROUNDING, False)
-            for iy in range(ty * TILE, min(ny, (ty + 1) * TILE)):
-                for ix in range(tx * TILE, min(nx, (tx + 1) * TILE)):
-                    centre = low + (np.array([ix, iy, iz]) + 0.5) * size
-                    near = select(lattices, pool, nearest, reach, centre, size / 2 + ROUNDING, True)
-                    swept = select(lattices, pool, 0, reach, centre, size / 2 + MARGIN + ROUNDING, True)
-                    if used + spare > len(records):
-                        records = np.concatenate((records, np.empty(len(records) + spare, np.int32)))
-                    cells[iz, iy, ix] = used
-                    records[used], records[used + 1] = len(near), len(swept)
-                    records[used + 2 : used + 2 + len(near)] = near
-                    records[used + 2 + len(near) : used + 2 + len(near) + len(swept)] = swept
-                    used += 2 + len(near) + len(swept)
+    for ty in range(tiles.shape[0]):
+        for tx in range(tiles.shape[1]):
+            if used + spare > len(records):
+                grown = np.empty(2 * len(records) + spare, np.int32)
+                grown[:used] = records[:used]
+                records = grown
+            first = (tx * TILE, ty * TILE, 0)
+            count = (min(TILE, nx - first[0]), min(TILE, ny - first[1]), nz)
+            tiles[ty, tx] = used
+            block = cells[:, first[1] : first[1] + count[1], first[0] : first[0] + count[0]]
+            used += tile_records(
+                lattices, everything, low, size, first, count, nearest, reach, cells, records[used:]
+            )
+            block += tiles[ty, tx]
     return cells, tiles, records[:used]
 
 
@@ -213,10 +258,11 @@ def build_grid(
     Returns the flat grid and its geometry. Raises ValueError where the grid outgrows its 32-bit offsets.
     """
     shape = grid_shape(bounds_low, bounds_high, is_flat(lattices))
-    low = np.array(bounds_low) - OUTSIDE
-    size = np.array([CELL, CELL, bounds_high[2] + OUTSIDE - low[2] if shape[2] == 1 else CELL])
+    x, y, z = bounds_low
+    low = (x - OUTSIDE, y - OUTSIDE, z - OUTSIDE)
+    size = (CELL, CELL, bounds_high[2] + OUTSIDE - low[2] if shape[2] == 1 else CELL)
     parts = [
-        map_records(lattices, a, b, low, size, shape, nearest, float(reach))
+        map_records(lattices, np.arange(a, b, dtype=np.int32), low, size, shape, nearest, float(reach))
         for a, b in pairwise(first)
     ]
     n_cells, n_tiles = (sum(part[k].size for part in parts) for k in (0, 1))
@@ -227,4 +273,4 @@ def build_grid(
     header = np.array([*shape, tiles_x, tiles_y, HEADER + n_cells, 0, 0])
     offsets = [(part[k] + s).ravel() for k in (0, 1) for part, s in zip(parts, start[:-1], strict=True)]
     grid = np.concatenate([header, *offsets, *(part[2] for part in parts)]).astype(np.int32)
-    return grid, np.concatenate([low, 1 / size])
+    return grid, np.array([*low, *(1 / edge for edge in size)])
