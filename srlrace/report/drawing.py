@@ -9,18 +9,20 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyBboxPatch
+from matplotlib.patheffects import withStroke
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from srlrace.recording.flight import SceneObstacle
-from srlrace.schema import Config
+from srlrace.schema import Config, TrackConfig
 
 Array = NDArray[np.float64]
 
 SOLID = "0.62"  # grey of the obstacle itself
 HALO = "0.88"  # grey of the margin around it
 GATE = "#D55E00"  # vermilion, from Okabe and Ito's palette: told apart from the speeds' blue to yellow
+LIT = withStroke(linewidth=2.5, foreground="white")  # keeps numbers readable over trajectories
 SIDES = 12  # facets around a cylinder in 3D
 
 
@@ -43,11 +45,13 @@ def obstacles_in_space(axes: Axes3D, obstacles: Sequence[SceneObstacle]) -> None
         axes.add_collection3d(Poly3DCollection(faces, facecolors=SOLID, edgecolors="none", alpha=0.22))
 
 
-def gates_from_above(axes: Axes, waypoints: Array, radius: float) -> None:
-    """Draw waypoints (w, 3) [m] with their passing radius and their number."""
-    for number, (x, y, _) in enumerate(waypoints, start=1):
-        axes.add_patch(Circle((x, y), radius, fill=False, edgecolor=GATE, linewidth=1.2, zorder=4))
-        axes.annotate(str(number), (x, y), xytext=(5, 5), textcoords="offset points", color=GATE, fontsize=8, zorder=5)
+def gates_from_above(axes: Axes, placed: Array, track: TrackConfig) -> None:
+    """Draw waypoints where they were placed (w, 3) [m] with their passing radius, and number the track's own."""
+    for x, y, _ in placed:
+        axes.add_patch(Circle((x, y), track.passing_radius, fill=False, edgecolor=GATE, linewidth=1.2, zorder=4))
+    style: dict[str, Any] = {"color": GATE, "fontsize": 9, "zorder": 5, "path_effects": [LIT]}
+    for number, (x, y, _) in enumerate(track.waypoints, start=1):
+        axes.annotate(str(number), (x, y), xytext=(5, 5), textcoords="offset points", **style)
 
 
 def gates_in_space(axes: Axes3D, waypoints: Array) -> None:

@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 FLIGHTS = 20  # trajectories in one figure: more hide each other
 VIRIDIS = ((0.267, 0.005, 0.329), (0.191, 0.407, 0.556), (0.208, 0.719, 0.473), (0.876, 0.891, 0.095))
 SPEED_COLOURS = LinearSegmentedColormap.from_list("speed", VIRIDIS)  # colour-blind safe, ordered in greyscale too
-CRASH = "#D55E00"
+CRASH = "black"
+WIDE = 1.4  # x over y extent of a world
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class Course:
     """Flights on one map, with what stands there."""
 
     flights: tuple[Trajectory, ...]
-    waypoints: Array  # (w, 3) m, world
+    waypoints: Array  # (w, 3) m, world; every place at which a waypoint stood in some flight
     obstacles: tuple[SceneObstacle, ...]
 
 
@@ -69,19 +70,24 @@ def read_course(recording: Path, flights: int = FLIGHTS) -> Course:
         Trajectory(flight.position_w, np.linalg.norm(flight.velocity_w, axis=1), flight.outcome != "finished")
         for flight in loaded
     )
-    return Course(trajectories, np.asarray(loaded[0].waypoints), loaded[0].scene)
+    placed = np.unique(np.concatenate([flight.waypoints for flight in loaded]), axis=0)
+    return Course(trajectories, placed, loaded[0].scene)
 
 
 def trajectory_figure(course: Course, config: Config, title: str) -> Figure:
     """Draw a course in space and from above, on white, for the screen and for print."""
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    space = figure.add_subplot(1, 2, 1, projection="3d")
-    above = figure.add_subplot(1, 2, 2)
+    extent = np.subtract(config.env.bounds_high, config.env.bounds_low)
+    wide = extent[0] > WIDE * extent[1]  # then the views stand one above the other
+    figure = Figure(figsize=(8.0, 7.6) if wide else (11.0, 5.0), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.25)  # type: ignore[union-attr, call-arg]
+    rows, columns = (2, 1) if wide else (1, 2)
+    space = figure.add_subplot(rows, columns, 1, projection="3d")
+    above = figure.add_subplot(rows, columns, 2)
     assert isinstance(space, Axes3D)
     scale = Normalize(0.0, max(float(flight.speed.max()) for flight in course.flights))
     _draw_space(space, course, config, scale)
     _draw_above(above, course, config, scale)
-    figure.colorbar(ScalarMappable(scale, SPEED_COLOURS), ax=[space, above], label="speed (m/s)", shrink=0.8, pad=0.01)
+    figure.colorbar(ScalarMappable(scale, SPEED_COLOURS), ax=above, label="speed (m/s)", shrink=0.8, pad=0.01)
     figure.suptitle(title, fontsize=10)
     return figure
 
@@ -96,7 +102,8 @@ def _draw_space(axes: Axes3D, course: Course, config: Config, scale: Normalize) 
     low, high = np.array(config.env.bounds_low), np.array(config.env.bounds_high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    axes.set_box_aspect(high - low, zoom=1.25)
+    wide = high[0] - low[0] > WIDE * (high[1] - low[1])
+    axes.set_box_aspect(high - low, zoom=1.65 if wide else 1.3)
     axes.view_init(elev=32, azim=-65)
     axes.tick_params(labelsize=7, pad=0)
     axes.locator_params(axis="z", nbins=3)
@@ -106,7 +113,7 @@ def _draw_space(axes: Axes3D, course: Course, config: Config, scale: Normalize) 
 
 def _draw_above(axes: Axes, course: Course, config: Config, scale: Normalize) -> None:
     obstacles_from_above(axes, course.obstacles, keep_out(config))
-    gates_from_above(axes, course.waypoints, config.env.passing_radius)
+    gates_from_above(axes, course.waypoints, config.env)
     for flight in course.flights:
         lines = LineCollection(
             _segments(flight.position[:, :2]), cmap=SPEED_COLOURS, norm=scale, linewidths=1.0, zorder=3
