@@ -103,8 +103,9 @@ def episode_class() -> type[Message]:
 class Layout:
     """Where each value of a fixed-width message lies in its bytes.
 
-    ``dtype`` spans the whole message and names its values; ``template`` is one message whose constant bytes
-    (tags, lengths, strings) are set.
+    ``dtype`` spans the whole message and names its values; ``template`` (itemsize,) uint8 is one message whose
+    constant bytes (tags, lengths, strings) are set. numpy copies of a structured array leave out the bytes between
+    its fields, so rows are made and moved as bytes.
     """
 
     def __init__(self, message: bytes, marks: Mapping[str, bytes], formats: Mapping[str, object]) -> None:
@@ -118,17 +119,15 @@ class Layout:
             "itemsize": len(message),
         }
         self.dtype = np.dtype(spec)  # type: ignore[call-overload]
-        self.template = np.frombuffer(bytearray(message), self.dtype)
         fixed = np.ones(len(message), bool)
         for name, offset in offsets.items():
             fixed[offset : offset + self.dtype[name].itemsize] = False
-            self.template[name] = 0
+        self.template = np.where(fixed, np.frombuffer(message, np.uint8), 0).astype(np.uint8)
         self.constant = np.flatnonzero(fixed)  # offsets of the bytes that are the same in every message
 
     def fits(self, rows: np.ndarray) -> bool:
         """Whether every row of ``rows`` (N, itemsize) bytes has the constant bytes of this layout."""
-        template = self.template.view(np.uint8)[self.constant]
-        return bool((rows[:, self.constant] == template).all())
+        return bool((rows[:, self.constant] == self.template[self.constant]).all())
 
 
 def _mark(index: int) -> float:

@@ -98,7 +98,7 @@ class RecordingWriter:
         state = _template(self._state, self._state_channel)
         drawn = _template(self._pose, self._pose_channel)
         self._row_type = np.dtype([("state", state.dtype), ("pose", drawn.dtype)])
-        self._row = state.tobytes() + drawn.tobytes()
+        self._row = state.view(np.uint8).tobytes() + drawn.view(np.uint8).tobytes()
 
     def write(self, flight: Flight) -> None:
         """Append one episode; episode numbers must increase. Raises ValueError for a flight that does not fit."""
@@ -115,7 +115,7 @@ class RecordingWriter:
         for first in range(0, len(rows), ROWS_PER_CHUNK):
             block = rows[first : first + ROWS_PER_CHUNK]
             index |= self._index(times[first : first + len(block)], len(head))
-            self._out.chunk(head + block.tobytes(), index)
+            self._out.chunk(head + block.view(np.uint8).tobytes(), index)
             head, index = b"", {}
         self._last = flight.episode
 
