@@ -45,6 +45,7 @@ def compose_all(request: Request) -> list[Config]:
     from hydra import initialize_config_dir
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
 
     try:
         with initialize_config_dir(str(conf_dir()), version_base=HYDRA_VERSION):
@@ -52,7 +53,7 @@ def compose_all(request: Request) -> list[Config]:
             jobs = [[*extra, *job] for job in expand(request)]
             composed = (hydra_compose("train", job, return_hydra_config=True) for job in jobs)
             configs = [parse_config(_plain(data)) for data in composed]
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise ConfigError(_one_line(error)) from None
     for config in configs:
         check_memory(config, _machine_memory())

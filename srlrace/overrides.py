@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from srlrace.confdir import conf_dir
-from srlrace.parse import DECIMAL_COMMA, NAME, ConfigError, Setting, describe, nearest, parse_value, settings, show
+from srlrace.parse import DECIMAL_COMMA, ConfigError, Setting, describe, label, nearest, parse_value, settings, show
 from srlrace.schema import Config
 
 GROUPS = ("env", "level", "reward", "observation", "baseline", "quad", "randomization", "curriculum", "algo")
@@ -122,7 +122,7 @@ def _split_word(word: str) -> tuple[str, str]:
     if not equals:
         raise ConfigError(f"{show(word)}: not a setting; takes name=value{_as_choice(word)}")
     if "${" in value or "${" in key:
-        raise ConfigError(f"{bare if NAME.fullmatch(bare) else show(bare)}: got {show(value)}; takes a plain value"
+        raise ConfigError(f"{label(bare)}: got {show(value)}; takes a plain value"
                           " (nothing is interpolated)")  # fmt: skip
     return bare, value.strip()
 
@@ -145,7 +145,7 @@ def _check_word(key: str, value: str, multirun: bool, config_dirs: Sequence[str]
 
 def unknown(key: str) -> str:
     """The message for a setting that does not exist."""
-    name = key if NAME.fullmatch(key) else show(key)
+    name = label(key)
     if key.startswith("hydra"):
         return f"{name}: not for you to set; of Hydra's settings takes hydra/launcher and hydra.launcher.*"
     if key in SECTIONS:

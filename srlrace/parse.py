@@ -54,6 +54,11 @@ def show(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def label(name: object) -> str:
+    """A name as it may stand in a message: itself when it is harmless, else escaped."""
+    return str(name) if re.fullmatch(r"[\w./@-]{1,64}", str(name), re.ASCII) else show(name)
+
+
 @cache
 def kinds(schema: Any) -> Mapping[str, Any]:
     """The resolved type of each field of a dataclass."""
@@ -83,8 +88,7 @@ def parse(schema: type[Schema], data: Any, path: str = "") -> Schema:
     fields = {field.name: field for field in dataclasses.fields(schema)}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
-            name = str(key) if NAME.fullmatch(str(key)) else show(key)
-            raise ConfigError(f"{_join(path, name)}: no such setting{nearest(name, fields)}")
+            raise ConfigError(f"{_join(path, label(key))}: no such setting{nearest(str(key)[:64], fields)}")
     values = {}
     types: Mapping[str, Any] = kinds(cast(Any, schema))
     for name, field in fields.items():

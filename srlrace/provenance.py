@@ -22,6 +22,7 @@ def provenance(argv: Sequence[str]) -> dict[str, Any]:
     return {
         "argv": list(argv),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
         "git": git_state(),
         "cpu": cpu_name(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 def train_run(config: Config, root: Path, argv: Sequence[str]) -> int:
     """Train, continue or skip one run below ``root``; returns the exit status after saying what happened."""
     from srlrace.learn.interrupt import Interrupted
-    from srlrace.learn.train import train
+    from srlrace.learn.train import Diverged, train
 
     setup_logging()
     name = run_id(config)
@@ -29,6 +29,9 @@ def train_run(config: Config, root: Path, argv: Sequence[str]) -> int:
     except Interrupted as stop:
         say(f"stopped by {signal.Signals(stop.signum).name}; resume with: {resume_command(name, root)}")
         return 128 + stop.signum
+    except Diverged as error:
+        fail(f"{name}: {error}")
+        return FAILED
     except (ConfigError, RunError) as error:
         fail(str(error))
         return BAD_INPUT
