@@ -46,7 +46,7 @@ _BLOCK = 2**20
 T = TypeVar("T")
 
 
-class CorruptRecording(Exception):
+class CorruptRecording(ValueError):
     """The file is no complete, undamaged recording of srlrace; the message says what is wrong with it."""
 
 
