@@ -27,7 +27,8 @@ from srlrace.files import atomic_write
 from srlrace.learn.policy import act, load_policy
 from srlrace.recording import Flight, RecordingWriter, SceneObstacle
 from srlrace.report.stats import wilson
-from srlrace.runs import RunError, RunFolder, versions
+from srlrace.provenance import versions
+from srlrace.runs import RunError, RunFolder
 from srlrace.task.arrays import FINISHED, FLYING, MIN_CLEARANCE, OUTCOMES, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED
 from srlrace.task.race import Race, RaceMode
 from srlrace.task.reward import TERMS
@@ -88,7 +89,7 @@ def make_suite(config: Config, name: str) -> Suite:
     if name == "train_map":
         seeds = tuple(range(level.map_seed, level.map_seed + level.maps))
     else:
-        seeds = unseen_maps(flown.env, level, UNSEEN_MAPS)
+        seeds = unseen_maps(flown.env, level, UNSEEN_MAPS, config.quad.arm_length)
     observation = flown.observation
     field = ObstacleField.of_seeds(flown.env, level, seeds, observation.obstacles, observation.range)
     return Suite(name, flown, seeds, field)
@@ -278,7 +279,7 @@ def evaluate_run(run: RunFolder, episodes: int, suite: str = "train_map", record
     if episodes < 1:
         raise RunError(f"episodes: got {episodes}, takes a whole number of at least 1")
     recorded = recorded_count(record, episodes)
-    config = run.config
+    config = run.load_config()
     torch.set_num_threads(config.algo.threads)
     policy = load_policy(config, run.path / "policy.safetensors")
     prepared = make_suite(config, suite)

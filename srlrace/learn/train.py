@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import time
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,12 +15,14 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from srlrace.config import Config
+from srlrace.config import Config, run_id, to_dict
+from srlrace.files import atomic_write, read_json
 from srlrace.learn.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.policy import save_policy
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.progress import LEARNER, Display, ProgressFile, outcome_ratios, write_scalars
+from srlrace.provenance import provenance
 from srlrace.runs import RunError, RunFolder
 from srlrace.task.reward import TERMS
 from srlrace.task.vec_env import RaceVecEnv
@@ -151,3 +155,48 @@ class Training:
         """Close the files."""
         self._file.close()
         self._board.close()
+
+
+def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
+    """Train the run of ``config`` below ``root``; return its folder.
+
+    A finished run is left as it is, an interrupted one continues from its last checkpoint. Raises
+    `Interrupted` after a signal (the state is saved), `RunError` where another process holds the run or
+    the training diverged, and leaves ``error.txt`` behind for anything unforeseen.
+    """
+    folder = RunFolder(root / run_id(config))
+    with stop_request() as request, folder.lock():
+        if (folder.path / "policy.safetensors").is_file():
+            logger.info("%s is finished; skipped", folder.id)
+            return folder.path
+        begin_run(config, folder, argv)
+        try:
+            steps, wall = attempt(config, folder, request)
+        except Exception as error:
+            if not isinstance(error, Interrupted):
+                atomic_write(folder.path / "error.txt", traceback.format_exc())
+            raise
+        facts = {**read_json(folder.path / "run.json"), "steps": steps, "train_wall_s": round(wall, 3)}
+        atomic_write(folder.path / "run.json", json.dumps(facts, indent=1) + "\n")
+    return folder.path
+
+
+def begin_run(config: Config, folder: RunFolder, argv: Sequence[str]) -> None:
+    """Write the configuration and where this attempt came from."""
+    atomic_write(folder.path / "config.json", json.dumps(to_dict(config), indent=1) + "\n")
+    (folder.path / "error.txt").unlink(missing_ok=True)
+    facts = {**provenance(argv), "run": folder.id, "threads": config.algo.threads}
+    earlier = folder.info.get("attempts", [])
+    attempts = [*(earlier if isinstance(earlier, list) else []), facts["started"]]
+    atomic_write(folder.path / "run.json", json.dumps({**facts, "attempts": attempts}, indent=1) + "\n")
+
+
+def attempt(config: Config, folder: RunFolder, request: StopRequest) -> tuple[int, float]:
+    """Train in a folder that is ours until the budget is spent; return steps and seconds."""
+    with Display(folder.id, config.algo.total_steps) as display:
+        training = Training(config, folder, display, request)
+        try:
+            training.run()
+        finally:
+            training.close()
+    return training.model.num_timesteps, training.wall
