@@ -79,7 +79,7 @@ def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Plac
         method=place.row.method,
         suite=place.suite,
         paper=paper.cell(experiment, place.row, place.suite),
-        command=_command(runs, experiment, place),
+        command=_command(runs, experiment, place, group),
         numbers=cell_numbers(group.evaluations) if group else None,
         t_ref_s=reference_time(place.config),
         runs=tuple(group.runs[seed].id for seed in sorted(group.runs)) if group else (),
@@ -92,8 +92,8 @@ def _environment(place: Place) -> str:
     return place.row.environment if level == place.suite else f"{place.row.environment}, unseen level {level}"
 
 
-def _command(runs: Sequence[Run], experiment: Experiment, place: Place) -> str:
-    """Return what fills the cell: an evaluation if finished runs wait for one, else the sweep."""
+def _command(runs: Sequence[Run], experiment: Experiment, place: Place, group: Group | None) -> str:
+    """Return what fills the cell: an evaluation if finished runs wait for one, else the sweep, at its runs' budget."""
     wanted = preset(place.config)
     waiting = [
         run.id
@@ -102,7 +102,9 @@ def _command(runs: Sequence[Run], experiment: Experiment, place: Place) -> str:
     ]
     if waiting and not place.candidates:
         return f"srlrace eval {' '.join(waiting)} --episodes {experiment.episodes} --suite {place.suite}"
-    return f"srlrace sweep {experiment.name}"
+    steps = group.algo.total_steps if group else place.config.algo.total_steps
+    option = f" --steps {steps}" if steps != place.config.algo.total_steps else ""
+    return f"srlrace sweep {experiment.name}{option}"
 
 
 def _comparisons(

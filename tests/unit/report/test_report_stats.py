@@ -55,3 +55,13 @@ def test_fisher_agrees_with_scipy(first: tuple[int, int], second: tuple[int, int
 
 def test_the_papers_one_crash_in_51_is_no_evidence() -> None:
     assert fisher_exact((1, 51), (0, 51)) == 1.0
+
+
+def test_the_papers_three_ratios_fit_multiples_of_51_and_nothing_else() -> None:
+    ratios = (1.96, 33.33, 90.20)
+
+    def fits(trials: int) -> bool:
+        return all(any(round(100 * k / trials, 2) == ratio for k in range(trials + 1)) for ratio in ratios)
+
+    assert [n for n in range(1, 210) if fits(n)] == [51, 102, 153, 204]
+    assert not fits(1000)

@@ -153,3 +153,9 @@ def test_a_run_that_never_finishes_has_no_time(lab: SimpleNamespace) -> None:
     assert cell.numbers.time_s is None
     assert cell.numbers.crash_pct.value == 100.0
     assert cell.numbers.penalised_time_s == 20.0
+
+
+def test_a_cell_short_of_seeds_names_the_sweep_at_its_own_budget(lab: SimpleNamespace) -> None:
+    config = lab.with_seed(lab.compose(SRL.overrides), 0, total_steps=123_000)
+    cell = only_cell(report(lab, [lab.run(config, lab.evaluation([5.0]))], SRL))
+    assert cell.command == "srlrace sweep table --steps 123000"
