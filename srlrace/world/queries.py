@@ -210,12 +210,12 @@ def pass_waypoint(
     px, py, pz = x0 - wx, y0 - wy, z0 - wz
     outside = px * px + py * py + pz * pz - radius * radius
     if outside <= ZERO:
-        return ZERO * px
+        return ZERO
     a = ux * ux + uy * uy + uz * uz
     b = px * ux + py * uy + pz * uz
     disc = b * b - a * outside
     if not (b < ZERO and disc >= ZERO):  # moving away, missing it, or not finite
-        return ZERO * px - ONE
+        return -ONE
     # Citardauq form of the smaller root: no cancellation where the chord is short
     share = outside / (np.sqrt(disc) - b + TINY)
-    return share if share <= ONE else ZERO * px - ONE
+    return share if share <= ONE else -ONE
