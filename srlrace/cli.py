@@ -217,7 +217,7 @@ def main() -> Any:
     gc.set_threshold(50_000)  # Hydra makes many small objects that live: collecting them is a tenth of its start
     try:
         with completing():
-            app()
+            app(prog_name="srlrace")
     except OSError as error:
         fail(f"{error.strerror}: {error.filename}" if error.filename else str(error))
         sys.exit(1)

@@ -71,22 +71,23 @@ def completing() -> Iterator[None]:
     if os.environ.get(COMPLETE) != "complete_bash":
         yield
         return
-    words, index = rejoin(os.environ.get("COMP_WORDS", ""), os.environ.get("COMP_CWORD", "0"))
+    words, index, has_equals = rejoin(os.environ.get("COMP_WORDS", ""), os.environ.get("COMP_CWORD", "0"))
     os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = words, index
     answers = io.StringIO()
     try:
         with redirect_stdout(answers):
             yield
     finally:
-        sys.stdout.write("".join(line.partition("=")[2] or line for line in answers.getvalue().splitlines(True)))
+        lines = answers.getvalue().splitlines(keepends=True)
+        sys.stdout.write("".join(line.partition("=")[2] if has_equals else line for line in lines))
 
 
-def rejoin(words: str, index: str) -> tuple[str, str]:
-    """Join ``key = value`` back into ``key=value`` up to the word under the cursor."""
+def rejoin(words: str, index: str) -> tuple[str, str, bool]:
+    """Join ``key = value`` back into ``key=value`` up to the word under the cursor; whether that one has a ``=``."""
     try:
         parts, cursor = shlex.split(words), int(index)
     except ValueError:
-        return words, index
+        return words, index, False
     joined: list[str] = []
     for word in (*parts[: cursor + 1], *[""][: cursor + 1 - len(parts)]):
         glue = bool(joined) and (word == "=" or joined[-1].endswith("="))
@@ -94,4 +95,4 @@ def rejoin(words: str, index: str) -> tuple[str, str]:
             joined[-1] += word
         else:
             joined.append(word)
-    return shlex.join(joined), str(len(joined) - 1)
+    return shlex.join(joined), str(len(joined) - 1), "=" in joined[-1]

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from srlrace.checks import check_memory
 from srlrace.confdir import conf_dir
 from srlrace.config import Config, ConfigError, parse_config, run_id
+from srlrace.console import say
 from srlrace.overrides import Request, check_arguments
 from srlrace.runs import RunFolder, State
 
@@ -183,6 +184,7 @@ def _terminable() -> Iterator[None]:
     """Let a signal between jobs, or to the parent of a launcher's processes, leave through every clean-up."""
 
     def leave(signum: int, frame: FrameType | None) -> None:
+        say("stopped; the same command continues")
         raise SystemExit(128 + signum)
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
