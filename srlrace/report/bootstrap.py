@@ -36,11 +36,6 @@ class ClusteredRatio:
         """The ratio of the sums."""
         return float(self.numerator.sum() / self.denominator.sum())
 
-    def replicates(self, weights: Array) -> Array:
-        """Return the ratio under each row of weights (draws, clusters); one with an empty denominator is the value."""
-        top, bottom = weights @ self.numerator, weights @ self.denominator
-        return np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1.0), self.value)
-
 
 def mean(values: Array) -> Array:
     """Return the mean along the last axis."""
@@ -60,15 +55,17 @@ def paired_interval(pairs: Sequence[tuple[ClusteredRatio, ClusteredRatio]]) -> I
 
 
 def _replicates(runs: Sequence[ClusteredRatio]) -> Array:
-    """Return (draws, seeds) ratios over resampled clusters."""
-    weights = [_resampling_weights(len(run.numerator), _stream(run, runs)) for run in runs]
-    return np.stack([run.replicates(drawn) for run, drawn in zip(runs, weights, strict=True)], axis=1)
-
-
-def _stream(run: ClusteredRatio, runs: Sequence[ClusteredRatio]) -> int:
-    """Number the distinct sets of clusters: runs that flew the same ones share their draws."""
-    distinct = list(dict.fromkeys(other.flown for other in runs))
-    return distinct.index(run.flown)
+    """Return (draws, seeds) ratios over resampled clusters; a draw without a denominator gives the run's value."""
+    ratios = np.empty((DRAWS, len(runs)))
+    # Runs that flew the same clusters share their draws, and are summed in one product: many small ones cost more.
+    for stream, flown in enumerate(dict.fromkeys(run.flown for run in runs)):
+        same = [i for i, run in enumerate(runs) if run.flown == flown]
+        weights = _resampling_weights(len(runs[same[0]].numerator), stream)
+        top = weights @ np.stack([runs[i].numerator for i in same], axis=1)
+        bottom = weights @ np.stack([runs[i].denominator for i in same], axis=1)
+        values = np.array([runs[i].value for i in same])
+        ratios[:, same] = np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1.0), values)
+    return ratios
 
 
 @lru_cache(maxsize=8)

@@ -30,7 +30,9 @@ logger = logging.getLogger(__name__)
 
 
 def read_progress(run: Run) -> pd.DataFrame | None:
-    """Return a run's ``progress.csv``, or None, with a warning, where there is none to read."""
+    """Return a run's ``progress.csv``, or None where there is none, or, with a warning, none to read."""
+    if not (run.path / "progress.csv").exists():
+        return None
     try:
         content = read_limited(RunFolder(run.path).file("progress.csv"), PROGRESS_LIMIT)
         frame = pd.read_csv(BytesIO(content), on_bad_lines="skip").apply(pd.to_numeric, errors="coerce")
