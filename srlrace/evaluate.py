@@ -263,8 +263,14 @@ def write_recording(path: Path, run: RunFolder, suite: Suite, flights: Iterator[
     """Write the flights of an evaluation as one MCAP."""
     metadata = {"run": run.id, "suite": suite.name, "evaluation_seed": str(EVALUATION_SEED), **versions()}
     config_json = json.dumps(to_dict(suite.config), indent=1).encode()
+    track = suite.config.env
     with RecordingWriter(
-        path, metadata=metadata, reward_terms=TERMS, horizon=suite.config.env.horizon, config_json=config_json
+        path,
+        metadata=metadata,
+        reward_terms=TERMS,
+        horizon=track.horizon,
+        config_json=config_json,
+        passing_radius=track.passing_radius,
     ) as writer:
         for flight in flights:
             writer.write(flight)

@@ -1,0 +1,46 @@
+# make demo    train on the Forest, evaluate 1000 episodes, record them, print the report
+# make test    run the tests
+# make lint    ruff and mypy
+# make bench   throughput on this machine
+# Both build the same virtual environment first. PYTHON and VENV may be set on the command line.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum | cut -d' ' -f1)
+NODE_MODULES := tests/readers/node_modules
+
+.PHONY: demo test lint bench readers clean
+
+demo: $(STAMP)
+	$(BIN)/srlrace train env=forest algo=demo
+	$(BIN)/srlrace eval --episodes 1000
+	$(BIN)/srlrace report
+
+test: $(STAMP) readers
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(STAMP)
+	$(BIN)/srlrace bench
+
+# The TypeScript MCAP reader, a test's independent witness; without npm that test is skipped.
+readers:
+	@if command -v npm >/dev/null; then \
+		test -d $(NODE_MODULES) || npm ci --silent --no-audit --no-fund --prefix tests/readers; \
+	else echo "npm not found: the TypeScript reader's tests will be skipped"; fi
+
+$(STAMP):
+	@$(PYTHON) -c 'import sys; sys.exit("srlrace needs Python 3.11 or newer") if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@rm -f $(VENV)/.installed-*
+	@touch $@
+
+clean:
+	rm -rf $(VENV) $(NODE_MODULES) .pytest_cache .mypy_cache .ruff_cache .hypothesis
