@@ -154,7 +154,8 @@ def test_empty_world_and_states_that_are_not_finite(width) -> None:
         point = np.array([bad, 0.0, bad])
         ask_nearest(some, point, 0)
         swept_gap(*point.astype(width), *np.zeros(3, width), 0, *some.arrays)
-        cast_rays(*point.astype(width), 0, *some.arrays, width(0), width(1), ray_directions(4, width), np.empty(4, width))
+        rays = ray_directions(4, width), np.empty(4, width)
+        cast_rays(*point.astype(width), 0, *some.arrays, width(0), width(1), *rays)
 
 
 def test_field_of_nothing_is_refused() -> None:
