@@ -29,6 +29,7 @@ from srlrace.parse import nearest, show
 from srlrace.report.experiments import Experiment, load_experiment
 from srlrace.runs import RunFolder, State
 
+PROGRAM = (sys.executable, "-m", "srlrace")
 POLL = 0.2  # s between looks at the processes
 LOG_TAIL = 4096  # bytes of a failed process's output that are searched for its last line
 
@@ -182,7 +183,7 @@ class Crew:
         say(f"{job.folder.id}: {'training' if command[0] == 'train' else 'evaluating ' + job.missing[0]}")
         log = tempfile.TemporaryFile()  # noqa: SIM115 - closed when the process has ended
         # A session of its own: Ctrl-C reaches the process once, from here, and not from the terminal as well.
-        process = subprocess.Popen([sys.executable, "-m", "srlrace", *command], stdin=subprocess.DEVNULL,
+        process = subprocess.Popen([*PROGRAM, *command], stdin=subprocess.DEVNULL,
                                    stdout=log, stderr=log, start_new_session=True)  # fmt: skip
         self.working.append(Worker(job, process, log))
 
