@@ -23,7 +23,7 @@ from srlrace.confdir import conf_dir
 from srlrace.config import Config, ConfigError, parse_config, run_id
 from srlrace.console import say
 from srlrace.overrides import Request, check_arguments
-from srlrace.runs import RunFolder, State
+from srlrace.runs import RunFolder, State, runs_root
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -106,11 +106,11 @@ def _machine_memory() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def train(arguments: Sequence[str], root: Path) -> int:
+def train(arguments: Sequence[str]) -> int:
     """Run ``srlrace train ARGUMENTS``: check everything, then let Hydra run it. Returns the exit status."""
     request = check_arguments(arguments)
     configs = compose_all(request)
-    root = root.absolute()
+    root = runs_root(request.runs).absolute()
     sweep_dir = root / ".multirun" / str(os.getpid())
     words = [*request.flags, *_search_path(request), *request.overrides, *_plumbing(sweep_dir)]
     environment = {RUNS: str(root), ARGV: json.dumps(["srlrace", "train", *arguments]), "HYDRA_FULL_ERROR": "1"}

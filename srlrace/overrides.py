@@ -26,7 +26,7 @@ SWITCHES = ("-m", "--multirun", "--resolve", "--run", "-r", "--hydra-help")
 OPTIONS = {"--cfg": ("job", "hydra", "all"), "-c": ("job", "hydra", "all"),
            "--info": ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath"),
            "-i": ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath"),
-           "--package": None, "-p": None, "--config-dir": None, "-cd": None}  # fmt: skip
+           "--package": None, "-p": None, "--config-dir": None, "-cd": None, "--runs": None}  # fmt: skip
 SWEEP_FUNCTION = re.compile(r"(range|choice)\([\w\s.,+-]*\)")
 PLAIN_LIST = re.compile(r"\[[\w\s.,+\-\[\]{}:'\"]*\]")
 LAUNCHER = re.compile(r"hydra/launcher|hydra\.launcher\.[A-Za-z]\w*(\.[A-Za-z]\w*)*")
@@ -40,6 +40,7 @@ class Request:
     overrides: tuple[str, ...]
     flags: tuple[str, ...] = ()
     config_dirs: tuple[str, ...] = ()
+    runs: str | None = None
 
     @property
     def multirun(self) -> bool:
@@ -54,7 +55,7 @@ class Request:
 
 def check_arguments(arguments: Sequence[str]) -> Request:
     """Check a command line of overrides and Hydra's options; raises `ConfigError`, one line."""
-    flags, config_dirs, words = _split_options(list(arguments))
+    flags, config_dirs, roots, words = _split_options(list(arguments))
     multirun = "-m" in flags or "--multirun" in flags
     checked: dict[str, list[str]] = {}
     for word in words:
@@ -66,12 +67,18 @@ def check_arguments(arguments: Sequence[str]) -> Request:
         track = checked.pop("env")
         level = [] if "level" in checked else ["level='none'"]
         checked = {"env": [*level, *track]} | checked
-    return Request(tuple(word for group in checked.values() for word in group), tuple(flags), tuple(config_dirs))
+    return Request(
+        tuple(word for group in checked.values() for word in group),
+        tuple(flags),
+        tuple(config_dirs),
+        roots[-1] if roots else None,
+    )
 
 
-def _split_options(arguments: list[str]) -> tuple[list[str], list[str], list[str]]:
+def _split_options(arguments: list[str]) -> tuple[list[str], list[str], list[str], list[str]]:
     flags: list[str] = []
     config_dirs: list[str] = []
+    roots: list[str] = []
     words: list[str] = []
     while arguments:
         word = arguments.pop(0)
@@ -83,14 +90,14 @@ def _split_options(arguments: list[str]) -> tuple[list[str], list[str], list[str
             flags.append(name)
         elif name in OPTIONS:
             if not has_value:
-                value = arguments.pop(0) if arguments and "=" not in arguments[0] else ""
-            _take_option(name, value, flags, config_dirs)
+                value = arguments.pop(0) if arguments and (name == "--runs" or "=" not in arguments[0]) else ""
+            _take_option(name, value, flags, config_dirs, roots)
         else:
             _refuse_option(word, arguments)
-    return flags, config_dirs, words
+    return flags, config_dirs, roots, words
 
 
-def _take_option(name: str, value: str, flags: list[str], config_dirs: list[str]) -> None:
+def _take_option(name: str, value: str, flags: list[str], config_dirs: list[str], roots: list[str]) -> None:
     choices = OPTIONS[name]
     if choices and value not in choices and (value or name in ("--cfg", "-c")):
         raise ConfigError(f"{name}: got {show(value)}; takes one of {', '.join(choices)}{nearest(value, choices)}")
@@ -98,6 +105,10 @@ def _take_option(name: str, value: str, flags: list[str], config_dirs: list[str]
         if not Path(value).is_dir():
             raise ConfigError(f"--config-dir: got {show(value)}, which is not a folder")
         config_dirs.append(str(Path(value).resolve()))
+    elif name == "--runs":
+        if not value:
+            raise ConfigError("--runs: takes the folder where runs live")
+        roots.append(value)
     else:
         flags += [name, value] if value else [name]
 
@@ -108,7 +119,7 @@ def _refuse_option(word: str, rest: list[str]) -> None:
     if name in SETTINGS or name in GROUPS:
         value = value if has_value else next(iter(rest), "VALUE")
         raise ConfigError(f"{word}: settings have no dashes; write {name}={value}")
-    known = (*SWITCHES, *OPTIONS, "--runs", "--help")
+    known = (*SWITCHES, *OPTIONS, "--help")
     raise ConfigError(f"{show(word)}: no such option{nearest(word, known)}")
 
 

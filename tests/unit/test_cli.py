@@ -65,11 +65,18 @@ def test_one_run(trained, place, monkeypatch):
     [(config, root, argv, _, cwd)] = trained
     assert config == compose(["env=split_s", "seed=3"])
     assert root == place / "elsewhere"
-    assert argv == ["srlrace", "train", "env=split_s", "seed=3"]
+    assert argv == ["srlrace", "train", "env=split_s", "--runs", "elsewhere", "seed=3"]
     assert cwd == place
     assert [path.name for path in place.iterdir()] == ["elsewhere"]
     assert [path.name for path in root.iterdir()] == [run_id(config)]
     assert dict(os.environ) == before[0]
+
+
+def test_typer_hands_through_the_same(trained, place):
+    with pytest.raises(SystemExit) as leaving:
+        cli.app(["train", "-m", "seed=0,1", "--runs", "elsewhere", "level=1"])
+    assert leaving.value.code == 0
+    assert [(config.seed, root) for config, root, *_ in trained] == [(0, place / "elsewhere"), (1, place / "elsewhere")]
 
 
 @pytest.mark.parametrize(
