@@ -31,7 +31,7 @@ def quietly(complete: Callable[[str], Iterable[str]]) -> Completer:
 @quietly
 def complete_override(incomplete: str) -> Iterable[str]:
     """``env=`` and other names; after the equals sign, what the setting takes."""
-    from srlrace.overrides import GROUPS, SETTINGS, choices
+    from srlrace.catalogue import GROUPS, SETTINGS, choices
 
     key, equals, _ = incomplete.partition("=")
     if not equals:

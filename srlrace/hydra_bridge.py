@@ -65,7 +65,7 @@ def expand(request: Request) -> list[list[str]]:
     """The overrides of each job of a multirun; the only job's otherwise."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    if not request.multirun:
+    if not request.options.multirun:
         return [list(request.overrides)]
     axes = []
     for override in OverridesParser.create().parse_overrides(list(request.overrides)):
@@ -80,7 +80,7 @@ def expand(request: Request) -> list[list[str]]:
 
 
 def _search_path(request: Request) -> list[str]:
-    folders = ",".join("'file://" + folder.replace("'", r"\'") + "'" for folder in request.config_dirs)
+    folders = ",".join("'file://" + folder.replace("'", r"\'") + "'" for folder in request.options.config_dirs)
     return [f"hydra.searchpath=[{folders}]"] if folders else []
 
 
@@ -110,9 +110,9 @@ def train(arguments: Sequence[str]) -> int:
     """Run ``srlrace train ARGUMENTS``: check everything, then let Hydra run it. Returns the exit status."""
     request = check_arguments(arguments)
     configs = compose_all(request)
-    root = runs_root(request.runs).absolute()
+    root = runs_root(request.options.runs).absolute()
     sweep_dir = root / ".multirun" / str(os.getpid())
-    words = [*request.flags, *_search_path(request), *request.overrides, *_plumbing(sweep_dir)]
+    words = [*request.options.flags, *_search_path(request), *request.overrides, *_plumbing(sweep_dir)]
     environment = {RUNS: str(root), ARGV: json.dumps(["srlrace", "train", *arguments]), "HYDRA_FULL_ERROR": "1"}
     try:
         with _swapped(["srlrace train", *words], environment), _terminable():
@@ -124,7 +124,7 @@ def train(arguments: Sequence[str]) -> int:
             (sweep_dir / "multirun.yaml").unlink(missing_ok=True)
             sweep_dir.rmdir()
             sweep_dir.parent.rmdir()
-    return 0 if request.shows else unfinished(configs, root)
+    return 0 if request.options.shows else unfinished(configs, root)
 
 
 def unfinished(configs: Sequence[Config], root: Path) -> int:

@@ -11,22 +11,12 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from srlrace.confdir import conf_dir
-from srlrace.parse import DECIMAL_COMMA, ConfigError, Setting, describe, label, nearest, parse_value, settings, show
-from srlrace.schema import Config
+from srlrace.catalogue import GROUPS, SETTINGS, choices, unknown
+from srlrace.options import Options, split_options
+from srlrace.parse import DECIMAL_COMMA, ConfigError, Setting, describe, label, nearest, parse_value, show
 
-GROUPS = ("env", "level", "reward", "observation", "baseline", "quad", "randomization", "curriculum", "algo")
-SETTINGS = {setting.path: setting for setting in settings(Config) if setting.path not in GROUPS}
-SECTIONS = tuple(dict.fromkeys(path.partition(".")[0] for path in SETTINGS))
-
-SWITCHES = ("-m", "--multirun", "--resolve", "--run", "-r", "--hydra-help")
-OPTIONS = {"--cfg": ("job", "hydra", "all"), "-c": ("job", "hydra", "all"),
-           "--info": ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath"),
-           "-i": ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath"),
-           "--package": None, "-p": None, "--config-dir": None, "-cd": None, "--runs": None}  # fmt: skip
 SWEEP_FUNCTION = re.compile(r"(range|choice)\([\w\s.,+-]*\)")
 PLAIN_LIST = re.compile(r"\[[\w\s.,+\-\[\]{}:'\"]*\]")
 LAUNCHER = re.compile(r"hydra/launcher|hydra\.launcher\.[A-Za-z]\w*(\.[A-Za-z]\w*)*")
@@ -35,92 +25,26 @@ TRACK_FILE = re.compile(r".*(/|\\|\.ya?ml$)")
 
 @dataclass(frozen=True)
 class Request:
-    """A checked command line: overrides that Hydra can take literally, and what to do with them."""
+    """A checked command line: overrides that Hydra can take literally, and the options beside them."""
 
     overrides: tuple[str, ...]
-    flags: tuple[str, ...] = ()
-    config_dirs: tuple[str, ...] = ()
-    runs: str | None = None
-
-    @property
-    def multirun(self) -> bool:
-        """Whether commas mean several runs."""
-        return "-m" in self.flags or "--multirun" in self.flags
-
-    @property
-    def shows(self) -> bool:
-        """Whether Hydra is only asked to show something."""
-        return any(flag in ("--cfg", "-c", "--info", "-i", "--hydra-help") for flag in self.flags)
+    options: Options
 
 
 def check_arguments(arguments: Sequence[str]) -> Request:
     """Check a command line of overrides and Hydra's options; raises `ConfigError`, one line."""
-    flags, config_dirs, roots, words = _split_options(list(arguments))
-    multirun = "-m" in flags or "--multirun" in flags
+    options, words = split_options(arguments)
     checked: dict[str, list[str]] = {}
     for word in words:
         key, value = _split_word(word)
         if key in checked:
             raise ConfigError(f"{key}: given twice")
-        checked[key] = list(_check_word(key, value, multirun, config_dirs))
+        checked[key] = list(_check_word(key, value, options))
     if len(checked.get("env", [])) > 1:  # a track file, written out as settings: what the user sets comes after it
         track = checked.pop("env")
         level = [] if "level" in checked else ["level='none'"]
         checked = {"env": [*level, *track]} | checked
-    return Request(
-        tuple(word for group in checked.values() for word in group),
-        tuple(flags),
-        tuple(config_dirs),
-        roots[-1] if roots else None,
-    )
-
-
-def _split_options(arguments: list[str]) -> tuple[list[str], list[str], list[str], list[str]]:
-    flags: list[str] = []
-    config_dirs: list[str] = []
-    roots: list[str] = []
-    words: list[str] = []
-    while arguments:
-        word = arguments.pop(0)
-        if not word.startswith("-"):
-            words.append(word)
-            continue
-        name, has_value, value = word.partition("=")
-        if name in SWITCHES and not has_value:
-            flags.append(name)
-        elif name in OPTIONS:
-            if not has_value:
-                value = arguments.pop(0) if arguments and (name == "--runs" or "=" not in arguments[0]) else ""
-            _take_option(name, value, flags, config_dirs, roots)
-        else:
-            _refuse_option(word, arguments)
-    return flags, config_dirs, roots, words
-
-
-def _take_option(name: str, value: str, flags: list[str], config_dirs: list[str], roots: list[str]) -> None:
-    choices = OPTIONS[name]
-    if choices and value not in choices and (value or name in ("--cfg", "-c")):
-        raise ConfigError(f"{name}: got {show(value)}; takes one of {', '.join(choices)}{nearest(value, choices)}")
-    if name in ("--config-dir", "-cd"):
-        if not Path(value).is_dir():
-            raise ConfigError(f"--config-dir: got {show(value)}, which is not a folder")
-        config_dirs.append(str(Path(value).resolve()))
-    elif name == "--runs":
-        if not value:
-            raise ConfigError("--runs: takes the folder where runs live")
-        roots.append(value)
-    else:
-        flags += [name, value] if value else [name]
-
-
-def _refuse_option(word: str, rest: list[str]) -> None:
-    name, has_value, value = word.lstrip("-").partition("=")
-    name = name.replace("-", "_")
-    if name in SETTINGS or name in GROUPS:
-        value = value if has_value else next(iter(rest), "VALUE")
-        raise ConfigError(f"{word}: settings have no dashes; write {name}={value}")
-    known = (*SWITCHES, *OPTIONS, "--help")
-    raise ConfigError(f"{show(word)}: no such option{nearest(word, known)}")
+    return Request(tuple(word for group in checked.values() for word in group), options)
 
 
 def _split_word(word: str) -> tuple[str, str]:
@@ -143,40 +67,20 @@ def _as_choice(word: str) -> str:
     return f"; did you mean {found[0]}={word}?" if found else ""
 
 
-def _check_word(key: str, value: str, multirun: bool, config_dirs: Sequence[str]) -> Iterator[str]:
+def _check_word(key: str, value: str, options: Options) -> Iterator[str]:
     if LAUNCHER.fullmatch(key):
         yield f"{key}={value}"
     elif key in GROUPS:
-        yield from _check_choice(key, value, multirun, config_dirs)
+        yield from _check_choice(key, value, options)
     elif key in SETTINGS:
-        yield f"++{key}={_check_setting(SETTINGS[key], value, multirun)}"
+        yield f"++{key}={_check_setting(SETTINGS[key], value, options.multirun)}"
     else:
         raise ConfigError(unknown(key))
 
 
-def unknown(key: str) -> str:
-    """The message for a setting that does not exist."""
-    name = label(key)
-    if key.startswith("hydra"):
-        return f"{name}: not for you to set; of Hydra's settings takes hydra/launcher and hydra.launcher.*"
-    if key in SECTIONS:
-        members = [path.partition(".")[2] for path in SETTINGS if path.startswith(f"{key}.")]
-        return f"{key}: takes one setting at a time: {key}.{members[0]}=...; it has {', '.join(members)}"
-    leaf = key.rpartition(".")[2]
-    homes = [path for path in SETTINGS if path.rpartition(".")[2] == leaf]
-    hint = f"; did you mean {homes[0]}?" if len(homes) == 1 else nearest(key, (*SETTINGS, *GROUPS))
-    return f"{name}: no such setting{hint}"
-
-
-def choices(group: str, config_dirs: Sequence[str] = ()) -> tuple[str, ...]:
-    """The names that a group takes: its files in conf/ and in the user's config directories."""
-    folders = [folder / group for folder in (conf_dir(), *map(Path, config_dirs))]
-    return tuple(sorted({path.stem for folder in folders for path in folder.glob("*.yaml")}))
-
-
-def _check_choice(group: str, value: str, multirun: bool, config_dirs: Sequence[str]) -> Iterator[str]:
-    valid = choices(group, config_dirs)
-    names = [_unquote(name) for name in _parts(group, value, multirun)]
+def _check_choice(group: str, value: str, options: Options) -> Iterator[str]:
+    valid = choices(group, options.config_dirs)
+    names = [_unquote(name) for name in _parts(group, value, options.multirun)]
     if group == "env" and len(names) == 1 and names[0] not in valid and TRACK_FILE.match(names[0]):
         from srlrace.own_track import track_overrides
 

@@ -8,9 +8,9 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from srlrace.catalogue import SETTINGS
 from srlrace.config import Config, ConfigError, method_name, to_dict
 from srlrace.console import clean
-from srlrace.overrides import SETTINGS
 from srlrace.parse import nearest
 from srlrace.runs import RunFolder, State
 

@@ -6,7 +6,8 @@ import sys
 import pytest
 
 from srlrace import cli
-from srlrace.hydra_bridge import compose
+from srlrace.hydra_bridge import compose, compose_all
+from srlrace.overrides import check_arguments
 from srlrace.parse import ConfigError
 
 BAD = [  # what is typed after `srlrace train`, and what the one line must say
@@ -158,6 +159,8 @@ def test_a_track_of_ones_own(tmp_path):
     assert config.env.displaced_waypoints == 0
     assert config.level.name == "none"
     assert compose([own(tmp_path, text), "level=1"]).level.name == "1"
+    requests = compose_all(check_arguments(["-m", own(tmp_path, text), "env.horizon=30", "seed=0,1"]))
+    assert [one.env for one in requests] == [config.env, config.env]
     bounded = compose([own(tmp_path, text + "    bounds: [[-9, -9, 0], [9, 9, 9]]\n")])
     assert bounded.env.bounds_high == (9.0, 9.0, 9.0)
 

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 
 from srlrace import cli, completion, hydra_bridge, training
+from srlrace.catalogue import GROUPS, choices
 from srlrace.config import run_id, to_dict
 from srlrace.console import clean
 from srlrace.hydra_bridge import compose
 from srlrace.learn.interrupt import Interrupted
-from srlrace.overrides import GROUPS, check_arguments, choices
+from srlrace.overrides import check_arguments
 from srlrace.runs import RunError, RunFolder
 
 HEAVY = ("torch", "numpy", "pandas", "numba", "scipy", "matplotlib", "gymnasium", "stable_baselines3", "joblib")

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from srlrace.catalogue import GROUPS, SETTINGS, choices
 from srlrace.hydra_bridge import compose
-from srlrace.overrides import GROUPS, SETTINGS, check_arguments, choices
+from srlrace.overrides import check_arguments
 from srlrace.parse import ConfigError
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configure.md").read_text()
@@ -51,6 +52,6 @@ def test_commands(words, files):
             compose(shlex.split(words))
         assert f"error: {caught.value}\n" in PAGE
     elif "-m" in words:
-        assert check_arguments(shlex.split(words)).multirun
+        assert check_arguments(shlex.split(words)).options.multirun
     else:
         compose(shlex.split(words))
