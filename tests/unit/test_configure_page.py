@@ -11,12 +11,13 @@ from srlrace.hydra_bridge import compose
 from srlrace.overrides import check_arguments
 from srlrace.parse import ConfigError
 
-PAGE = (Path(__file__).parents[2] / "docs" / "configure.md").read_text()
+FILE = Path(__file__).parents[2] / "docs" / "configure.md"
+PAGE = FILE.read_text()
 COMMAND = re.compile(r"^\$ srlrace train ?([^#\n]*)", re.MULTILINE)
 
 
 def settings_table() -> str:
-    """The table of settings in Markdown; paste it where the test says the page is behind."""
+    """The table of settings in Markdown; running this file as a script brings the page up to date."""
     rows = ["| setting | takes | meaning |", "| --- | --- | --- |"]
     for path, setting in SETTINGS.items():
         takes = setting.takes.replace(", at most 64, beginning with a letter or digit", "")
@@ -55,3 +56,7 @@ def test_commands(words, files):
         assert check_arguments(shlex.split(words)).options.multirun
     else:
         compose(shlex.split(words))
+
+
+if __name__ == "__main__":
+    FILE.write_text(PAGE[: PAGE.index("| setting | takes |")] + settings_table())
