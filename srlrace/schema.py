@@ -183,10 +183,11 @@ class CurriculumConfig:
     """How training starts easier than evaluation; evaluation never uses any of this."""
 
     name: str = setting("name of the curriculum preset")
-    gate_starts: float = setting("share of resets that start from a remembered gate passing", low=0.0, high=1.0)
-    gate_memory: int = setting("remembered passings per waypoint", low=1, high=100_000)
-    collision_initial: float = setting("share of the collision weight at the first step", low=0.0, high=1.0)
-    collision_ramp: float = setting("share of training over which it grows to 1", low=0.0, high=1.0)
+    gate_starts: float = setting("share of resets near a random waypoint instead of the start", low=0.0, high=1.0)
+    memory_starts: float = setting("share of resets from a remembered passing of a waypoint", low=0.0, high=1.0)
+    memory_size: int = setting("remembered passings per waypoint", low=1, high=100_000)
+    cost_initial: float = setting("share of every cost (negative weight) at the first step", low=0.0, high=1.0)
+    cost_ramp: float = setting("share of training over which it grows to 1", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True)
@@ -207,6 +208,7 @@ class AlgoConfig:
     ent_coef: float = setting("weight of the entropy bonus", low=0.0)
     vf_coef: float = setting("weight of the value loss", low=0.0)
     max_grad_norm: float = setting("gradients are clipped to this norm", above=0.0)
+    reward_scale: float = setting("rewards are multiplied by this for learning, not in what is logged", above=0.0)
     log_std_init: float = setting("initial log standard deviation of the actions", low=-10.0, high=5.0)
     policy_layers: tuple[int, ...] = setting("hidden layers of the policy", low=1, high=8192, least=1, most=16)
     value_layers: tuple[int, ...] = setting("hidden layers of the value function", low=1, high=8192, least=1, most=16)

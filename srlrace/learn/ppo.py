@@ -11,6 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 
 from srlrace.config import AlgoConfig, Config
+from srlrace.sim.airframe import GRAVITY
 from srlrace.learn.policy import load_state, policy_arguments, state_arrays
 from srlrace.task.vec_env import RaceVecEnv
 
@@ -47,8 +48,15 @@ def build_ppo(config: Config, env: RaceVecEnv) -> PPO:
         seed=config.seed,
         device="cpu",
     )
+    start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
+
+
+def start_hovering(model: PPO, env: RaceVecEnv) -> None:
+    """Bias the untrained policy to hover thrust: an action of zero is twice that, and leaves through the ceiling."""
+    with torch.no_grad():
+        model.policy.action_net.bias[0] = 2.0 * GRAVITY / float(env.race.rules.max_collective) - 1.0
 
 
 def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:

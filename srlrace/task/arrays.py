@@ -62,8 +62,8 @@ class Rules(NamedTuple):
     displacement: float  # m, half width
     drag_spread: float
     thrust_spread: float
-    gate_starts: float  # share of resets from a remembered passing
-    collision_initial: float
+    gate_starts: float  # share of resets near a random waypoint
+    memory_starts: float  # share of resets from a remembered passing
     autoreset: bool
 
 
@@ -79,7 +79,7 @@ class Fleet(NamedTuple):
     first_target: NDArray[np.int32]  # (n,) target at the start of the episode
     steps: NDArray[np.int32]  # (n,) since the start
     map: NDArray[np.int32]  # (n,)
-    remembered: NDArray[np.bool_]  # (n,) started from a remembered passing
+    staged: NDArray[np.bool_]  # (n,) started elsewhere than at the start: not counted in the ledger
     parked: NDArray[np.bool_]  # (n,) episode over and no autoreset
     streams: NDArray[np.uint64]  # (2, n) random numbers
 
@@ -104,7 +104,7 @@ class Output(NamedTuple):
     final_tally: Floats  # (len(TALLY), n): valid where an episode ended
     final_passing_time: Floats  # (k, n): valid where an episode ended
     final_target: NDArray[np.int32]  # (n,): valid where an episode ended
-    ledger: NDArray[np.float64]  # (len(LEDGER) + terms,): real starts only
+    ledger: NDArray[np.float64]  # (len(LEDGER) + terms,): episodes from the start only
 
 
 class Scratch(NamedTuple):

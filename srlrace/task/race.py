@@ -84,7 +84,7 @@ def make_rules(config: Config, field: ObstacleField, mode: RaceMode, dtype: DTyp
         drag_spread=real(draw.drag),
         thrust_spread=real(draw.thrust),
         gate_starts=real(config.curriculum.gate_starts if mode.curriculum else 0.0),
-        collision_initial=real(config.curriculum.collision_initial if mode.curriculum else 1.0),
+        memory_starts=real(config.curriculum.memory_starts if mode.curriculum else 0.0),
         autoreset=mode.autoreset,
     )
 
@@ -104,7 +104,7 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         first_target=np.zeros(n, np.int32),
         steps=np.zeros(n, np.int32),
         map=np.zeros(n, np.int32),
-        remembered=np.zeros(n, np.bool_),
+        staged=np.zeros(n, np.bool_),
         parked=np.zeros(n, np.bool_),
         streams=make_streams(mode.seed, mode.members),
     )
@@ -151,7 +151,7 @@ class Race:
         self.observation_size = observation_size(config.observation)
         self.fleet = make_fleet(self.rules, mode, dtype)
         targets = len(self.rules.sequence)
-        capacity = config.curriculum.gate_memory if self.rules.gate_starts > 0.0 else 1
+        capacity = config.curriculum.memory_size if self.rules.memory_starts > 0.0 else 1
         size = record_size(len(config.env.waypoints))
         self.memory = Memory(np.zeros((targets, capacity, size), dtype), np.zeros(targets, np.int64))
         self.output = make_output(self.rules, self.n, self.observation_size, dtype)
@@ -160,14 +160,19 @@ class Race:
             np.zeros((4, self.n), dtype), np.zeros((3, self.n), dtype), np.zeros(nearest, dtype), np.zeros(nearest, np.int32)
         )
         self.current_weights = self.rules.weights.copy()
+        self._has_curriculum = mode.curriculum
         self.set_progress(0.0)
 
     def set_progress(self, done: float) -> None:
-        """Say which share of training is done: the collision weight grows with it (`CurriculumConfig`)."""
-        initial, ramp = self.rules.collision_initial, self.config.curriculum.collision_ramp
-        grown = min(done / ramp, 1.0) if ramp > 0.0 else 1.0
-        collision = TERMS.index("collision")
-        self.current_weights[collision] = self.rules.weights[collision] * (initial + (1.0 - initial) * grown)
+        """Say which share of training is done: costs grow with it (`CurriculumConfig`).
+
+        All costs together, not the crash penalty alone: at full weight, flying with wide exploration costs
+        more per second (body rates, time, obstacles) than a cheap crash, and the policy learns to crash soon.
+        """
+        curriculum, full = self.config.curriculum, self.rules.weights
+        grown = min(done / curriculum.cost_ramp, 1.0) if curriculum.cost_ramp > 0.0 else 1.0
+        share = curriculum.cost_initial + (1.0 - curriculum.cost_initial) * grown if self._has_curriculum else 1.0
+        self.current_weights[:] = np.where(full < 0.0, full * share, full)
 
     def reset(self) -> Floats:
         """Start a new episode of every drone; return the observations, (n, d)."""

@@ -1,4 +1,4 @@
-"""How episodes start: at the track's start with random offsets, or where an earlier flight passed a gate."""
+"""How episodes start: at the track's start with random offsets; in training also elsewhere along the track."""
 
 from __future__ import annotations
 
@@ -37,11 +37,16 @@ def draw_waypoints(fleet, rules, i):
 
 @inline
 def draw_position(fleet, rules, field, scratch, i):
-    """Draw the start position until it is clear of obstacles; the last of `START_TRIES` draws stands."""
+    """Draw the position until it is clear of obstacles; the last of `START_TRIES` draws stands.
+
+    Around the start, or around the waypoint before the target.
+    """
     state = fleet.state
+    before = rules.sequence[fleet.target[i] - 1] if fleet.target[i] > 0 else -1
     for _ in range(START_TRIES):
         for axis in range(3):
-            state[axis, i] = rules.start[axis] + symmetric(fleet.streams, i, rules.start_position)
+            centre = fleet.waypoints[before, axis, i] if before >= 0 else rules.start[axis]
+            state[axis, i] = centre + symmetric(fleet.streams, i, rules.start_position)
         state[2, i] = max(state[2, i], rules.bounds[2] + rules.min_height)
         _, gap = nearest(
             state[0, i], state[1, i], state[2, i], fleet.map[i], *field, rules.reach, scratch.distance, scratch.index
@@ -112,10 +117,10 @@ def clear_episode(fleet, i):
 
 
 @inline
-def start_fresh(fleet, rules, field, scratch, i):
-    """Start an episode at the track's start."""
-    fleet.remembered[i] = False
-    fleet.target[i] = 0
+def start_fresh(fleet, rules, field, scratch, target, i):
+    """Start an episode near the track's start, or near the waypoint before ``target``."""
+    fleet.staged[i] = target > 0
+    fleet.target[i] = target
     fleet.steps[i] = 0
     draw_map(fleet, rules, i)
     draw_waypoints(fleet, rules, i)
@@ -154,7 +159,7 @@ def start_remembered(fleet, memory, k, i):
     """Start an episode from a random entry of the ring of target ``k``."""
     size = min(memory.count[k], memory.record.shape[1])
     row = memory.record[k, min(int(uniform(fleet.streams, i) * size), size - 1)]
-    fleet.remembered[i] = True
+    fleet.staged[i] = True
     fleet.target[i] = k
     for j in range(17):
         fleet.state[j, i] = row[j]
@@ -188,12 +193,13 @@ def remembered_target(fleet, memory, i):
 
 @inline
 def reset_drone(fleet, rules, field, memory, scratch, i):
-    """Start a new episode of drone ``i``."""
-    k = -1
-    if rules.gate_starts > 0.0 and uniform(fleet.streams, i) < rules.gate_starts:
-        k = remembered_target(fleet, memory, i)
+    """Start a new episode of drone ``i``: from a remembered passing, near a waypoint, or at the start."""
+    staged = rules.gate_starts + rules.memory_starts
+    draw = uniform(fleet.streams, i) if staged > 0.0 else 1.0
+    k = remembered_target(fleet, memory, i) if draw < rules.memory_starts else -1
     if k >= 0:
         start_remembered(fleet, memory, k, i)
     else:
-        start_fresh(fleet, rules, field, scratch, i)
+        target = int(uniform(fleet.streams, i) * rules.sequence.shape[0]) if draw < staged else 0
+        start_fresh(fleet, rules, field, scratch, min(target, rules.sequence.shape[0] - 1), i)
     clear_episode(fleet, i)

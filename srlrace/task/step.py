@@ -169,7 +169,7 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
         if fleet.target[i] == rules.sequence.shape[0]:
             out.time[i] = (fleet.steps[i] - 1 + fraction) * rules.dt
             return FINISHED
-        if rules.gate_starts > 0.0:
+        if rules.memory_starts > 0.0:
             remember(fleet, memory, i)
     if fleet.steps[i] >= rules.horizon_steps:
         return TIMEOUT
@@ -189,7 +189,7 @@ def close_episode(fleet, out, outcome, i):
     copy_column(fleet.tally, out.final_tally, i)
     copy_column(fleet.passing_time, out.final_passing_time, i)
     out.final_target[i] = fleet.target[i]
-    if fleet.remembered[i]:
+    if fleet.staged[i]:
         return
     out.ledger[EPISODES] += 1.0
     out.ledger[outcome] += 1.0

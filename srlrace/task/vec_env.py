@@ -39,6 +39,7 @@ class RaceVecEnv(VecEnv):
         n = n_envs or config.algo.n_envs
         self.race = Race(config, RaceMode.training(config.seed, n))
         self._action = np.zeros((n, ACTION_SIZE), np.float32)
+        self._reward_scale = np.float32(config.algo.reward_scale)
         super().__init__(n, observation_space(self.race.observation_size), action_space())
         self.reset_infos = [{} for _ in range(n)]
 
@@ -57,7 +58,7 @@ class RaceVecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(dones).tolist():
             infos[i] = self._episode_info(i)
-        return out.observation.copy(), out.reward.copy(), dones, infos
+        return out.observation.copy(), out.reward * self._reward_scale, dones, infos
 
     def _episode_info(self, i: int) -> dict[str, Any]:
         out = self.race.output
