@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from srlrace.parse import ConfigError
-from srlrace.schema import Config, LevelConfig, ObservationConfig, ObstacleConfig, TrackConfig
+from srlrace.schema import Config, CurriculumConfig, LevelConfig, ObservationConfig, ObstacleConfig, TrackConfig
 
 GRAVITY = 9.81  # m/s^2
 MEMORY_LIMIT = 64 * 2**30  # bytes: ours, far above what any preset needs (0.02 GiB)
@@ -21,7 +21,14 @@ def check(config: Config) -> None:
     _check_observation(config.observation)
     _check_lift(config)
     _check_batch(config)
+    _check_curriculum(config.curriculum)
     check_memory(config, MEMORY_LIMIT)
+
+
+def _check_curriculum(curriculum: CurriculumConfig) -> None:
+    staged = curriculum.gate_starts + curriculum.memory_starts
+    if staged > 1.0:
+        raise ConfigError(f"curriculum.gate_starts: with curriculum.memory_starts it makes {staged:g}; takes at most 1")
 
 
 def _check_track(track: TrackConfig) -> None:

@@ -118,4 +118,4 @@ def reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]]) -> N
     model.num_timesteps, model._n_updates = (int(counter) for counter in loop["counters"])
     torch.set_rng_state(torch.from_numpy(random["torch"]))
     position, has_gauss = (int(value) for value in random["numpy_position"])
-    np.random.set_state(("MT19937", random["numpy"], position, has_gauss, float(random["numpy_gauss"])))
+    np.random.set_state(("MT19937", random["numpy"], position, has_gauss, float(random["numpy_gauss"].item())))
