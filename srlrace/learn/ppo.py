@@ -11,8 +11,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 
 from srlrace.config import AlgoConfig, Config
-from srlrace.sim.airframe import GRAVITY
+from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, state_arrays
+from srlrace.sim.airframe import GRAVITY
 from srlrace.task.vec_env import RaceVecEnv
 
 
@@ -31,7 +32,7 @@ def build_ppo(config: Config, env: RaceVecEnv) -> PPO:
     """Build PPO as configured, seeded, on ``env``."""
     algo: AlgoConfig = config.algo
     torch.set_num_threads(algo.threads)
-    model = PPO(
+    model = LeanPPO(
         "MlpPolicy",
         env,
         learning_rate=LinearSchedule(algo.learning_rate, algo.learning_rate_final),
