@@ -29,6 +29,9 @@ def _check_curriculum(curriculum: CurriculumConfig) -> None:
     staged = curriculum.gate_starts + curriculum.memory_starts
     if staged > 1.0:
         raise ConfigError(f"curriculum.gate_starts: with curriculum.memory_starts it makes {staged:g}; takes at most 1")
+    if curriculum.cost_hold > curriculum.cost_ramp:
+        hold, ramp = curriculum.cost_hold, curriculum.cost_ramp
+        raise ConfigError(f"curriculum.cost_hold: got {hold:g}; takes at most curriculum.cost_ramp, which is {ramp:g}")
 
 
 def _check_track(track: TrackConfig) -> None:

@@ -187,7 +187,8 @@ class CurriculumConfig:
     memory_starts: float = setting("share of resets from a remembered passing of a waypoint", low=0.0, high=1.0)
     memory_size: int = setting("remembered passings per waypoint", low=1, high=100_000)
     cost_initial: float = setting("share of every cost (negative weight) at the first step", low=0.0, high=1.0)
-    cost_ramp: float = setting("share of training over which it grows to 1", low=0.0, high=1.0)
+    cost_hold: float = setting("share of training during which it stays there", low=0.0, high=1.0)
+    cost_ramp: float = setting("share of training after which it is 1, reached linearly", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,8 @@ class Race:
         more per second (body rates, time, obstacles) than a cheap crash, and the policy learns to crash soon.
         """
         curriculum, full = self.config.curriculum, self.rules.weights
-        grown = min(done / curriculum.cost_ramp, 1.0) if curriculum.cost_ramp > 0.0 else 1.0
+        hold, end = curriculum.cost_hold, curriculum.cost_ramp
+        grown = min(max((done - hold) / (end - hold), 0.0), 1.0) if end > hold else float(done >= end)
         share = curriculum.cost_initial + (1.0 - curriculum.cost_initial) * grown if self._has_curriculum else 1.0
         self.current_weights[:] = np.where(full < 0.0, full * share, full)
 
