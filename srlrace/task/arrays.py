@@ -98,7 +98,7 @@ class Output(NamedTuple):
     terminal_observation: Floats  # (n, d): valid where an episode ended
     reward: Floats  # (n,)
     reward_terms: Floats  # (terms, n), weighted
-    clearance: Floats  # (n,) m, smallest gap between drone and obstacle surface during the step
+    clearance: Floats  # (n,) m, smallest gap between drone and obstacle surface during the step, or at the reset
     outcome: NDArray[np.int8]  # (n,) index into OUTCOMES
     time: Floats  # (n,) s since the start, interpolated for a finish
     final_tally: Floats  # (len(TALLY), n): valid where an episode ended

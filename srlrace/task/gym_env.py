@@ -1,8 +1,7 @@
 """The race as Gymnasium environments: ``srlrace/Forest-v0`` and ``srlrace/SplitS-v0``, single and vector.
 
-Importing `srlrace.task.gym_env` registers them; ``import srlrace`` does so too where Gymnasium was
-imported before. ``gymnasium.make(..., overrides=["reward=no_safety"])`` takes the overrides of
-``srlrace train``.
+Registered by `srlrace.task.registration`, which importing this module does too.
+``gymnasium.make(..., overrides=["reward=no_safety"])`` takes the overrides of ``srlrace train``.
 """
 
 from __future__ import annotations
@@ -19,10 +18,11 @@ from numpy.typing import NDArray
 from srlrace.config import Config
 from srlrace.task.arrays import FLYING, OUTCOMES, TIMEOUT
 from srlrace.task.race import Race, RaceMode
+from srlrace.task.registration import register
 from srlrace.task.reward import TERMS
 from srlrace.task.vec_env import action_space, observation_space
 
-ENVIRONMENTS = {"srlrace/Forest-v0": "forest", "srlrace/SplitS-v0": "split_s"}
+register()
 
 
 def compose_config(track: str, overrides: Sequence[str]) -> Config:
@@ -115,18 +115,3 @@ class DroneRaceVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
                 "_outcome": ended.copy(),
             }
         return out.observation.copy(), out.reward.astype(np.float64), ended & ~truncated, truncated, infos
-
-
-def register() -> None:
-    """Register the environments with Gymnasium, once."""
-    for name, track in ENVIRONMENTS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                name,
-                entry_point="srlrace.task.gym_env:DroneRaceEnv",
-                vector_entry_point="srlrace.task.gym_env:DroneRaceVectorEnv",
-                kwargs={"track": track},
-            )
-
-
-register()

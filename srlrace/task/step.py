@@ -56,9 +56,10 @@ def sense(fleet, rules, field, scratch, i):
 
 @inline
 def observe_into(fleet, rules, field, scratch, i, out):
-    """Sense and write the observation of drone ``i``."""
-    sense(fleet, rules, field, scratch, i)
+    """Sense and write the observation of drone ``i``; return its clearance, m."""
+    _, gap = sense(fleet, rules, field, scratch, i)
     observe(fleet, rules, field, i, scratch.distance, scratch.index, out[i])
+    return gap - rules.arm_length
 
 
 @inline
@@ -71,12 +72,13 @@ def is_finite(state, i):
 
 
 @inline
-def contain(fleet, scratch, i):
+def contain(fleet, rules, scratch, i):
     """Put a diverged drone back where its step began, at rest and upright, so that nothing non-finite is seen."""
     fleet.state[:, i] = 0.0
     fleet.state[6, i] = 1.0
     for axis in range(3):
-        fleet.state[axis, i] = scratch.previous[axis, i]
+        before = scratch.previous[axis, i]
+        fleet.state[axis, i] = before if abs(before) < 1e12 else rules.start[axis]
 
 
 @inline
@@ -213,7 +215,7 @@ def step_drone(fleet, rules, field, memory, scratch, out, weights, i):
         rate = body_rate(fleet.state, i)
         outcome = judge(fleet, rules, field, memory, scratch, out, gap, i)
     else:
-        contain(fleet, scratch, i)
+        contain(fleet, rules, scratch, i)
         sense(fleet, rules, field, scratch, i)
         out.clearance[i] = FAR
     collided = outcome == CRASHED or outcome == OUT_OF_BOUNDS or outcome == DIVERGED
@@ -258,4 +260,4 @@ def reset_all(fleet, rules, field, memory, scratch, out):
     for i in range(fleet.state.shape[1]):
         fleet.parked[i] = False
         reset_drone(fleet, rules, field, memory, scratch, i)
-        observe_into(fleet, rules, field, scratch, i, out.observation)
+        out.clearance[i] = observe_into(fleet, rules, field, scratch, i, out.observation)

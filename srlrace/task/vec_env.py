@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -71,7 +72,7 @@ class RaceVecEnv(VecEnv):
             "is_success": outcome == FINISHED,
             "episode": {
                 "r": float(out.final_tally[EPISODE_RETURN, i]),
-                "l": round(seconds / self.race.rules.dt),
+                "l": math.ceil(seconds / self.race.rules.dt - 1e-3),  # a finish is timed within its step
                 "t": seconds,
             },
         }
