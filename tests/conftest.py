@@ -61,7 +61,7 @@ def put(race: Race, position: Any, velocity: Any = (0, 0, 0), target: Any = None
 def pilot_action(observation: Any) -> Any:
     """Fly towards the next waypoint, slower when close, knowing nothing of obstacles; paper or song observations."""
     song = observation.shape[1] == 18
-    rotation, velocity, target = ((3, 0, 12) if song else (3, 12, 18))
+    rotation, velocity, target = (3, 0, 12) if song else (3, 12, 18)
     body_to_world = observation[:, rotation : rotation + 9].reshape(-1, 3, 3).astype(float)
     v = observation[:, velocity : velocity + 3] * METRES
     to = observation[:, target : target + 3] * METRES

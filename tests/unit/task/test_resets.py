@@ -1,0 +1,248 @@
+"""How episodes start: offsets, attitudes, displaced waypoints, randomized plants, and staged starts in training."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from srlrace.task.arrays import CRASHED, DIVERGED, FLYING
+
+N = 1500
+SIGNIFICANT = 1e-4  # p-value below which a distribution is called wrong; the draws are fixed, so this never flickers
+
+
+def attitude(race) -> Rotation:
+    return Rotation.from_quat(race.fleet.state[6:10].T.astype(float), scalar_first=True)
+
+
+def uniform(values, low, high) -> bool:
+    return stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > SIGNIFICANT
+
+
+@pytest.fixture(scope="module")
+def started(config, flown):
+    return flown(config("level=none"), N)
+
+
+def test_start_state(started):
+    state, start = started.fleet.state, np.array(started.config.env.start)
+    offset = state[:3].T - start
+    assert np.abs(offset).max() <= 1 + 1e-6
+    assert uniform(offset[:, 0], -1, 1)
+    assert uniform(offset[:, 1], -1, 1)
+    height = state[2][state[2] > 0.3001]
+    assert state[2].min() == pytest.approx(0.3)
+    assert uniform(height, 0.3, start[2] + 1)
+    for row in (3, 4, 5):
+        assert uniform(state[row], -1, 1)
+    assert (state[10:13] == 0).all()
+    np.testing.assert_allclose(state[13:17], 0.752 * 9.81 / 4, rtol=1e-6)
+    assert (started.fleet.steps == 0).all()
+    assert not started.fleet.staged.any()
+
+
+def test_euler_attitude(started):
+    yaw, pitch, roll = attitude(started).as_euler("ZYX").T
+    for angle in (roll, pitch, yaw):
+        assert uniform(angle, -1, 1)
+    assert abs(np.corrcoef([roll, pitch, yaw])[np.triu_indices(3, 1)]).max() < 0.1
+
+
+def test_quaternion_attitude(config, flown):
+    race = flown(config("level=none", "randomization.attitude_draw=quaternion"), N)
+    q = race.fleet.state[6:10]
+    np.testing.assert_allclose(np.linalg.norm(q, axis=0), 1, atol=1e-6)
+    drawn = np.random.default_rng(0).uniform(-1, 1, (4, 20_000))
+    drawn /= np.linalg.norm(drawn, axis=0)
+    for component in range(4):
+        assert stats.ks_2samp(q[component], drawn[component]).pvalue > SIGNIFICANT
+    assert (Rotation.magnitude(attitude(race)) > 2).mean() > 0.5  # most such starts are far from upright
+
+
+def test_no_randomization(config, flown):
+    race = flown(config("randomization=none", "level=none"), 3)
+    np.testing.assert_array_equal(race.fleet.state[:13].T, [[-25, 0, np.float32(1.12), 0, 0, 0, 1, *[0] * 6]] * 3)
+    np.testing.assert_allclose(race.fleet.plant.T, [[0.26, 0.28, 0.42, 1]] * 3, rtol=1e-6)
+
+
+def test_starts_are_clear_of_obstacles(config, flown, spheres):
+    race = flown(config("level=3", "level.clear_radius=0"), 300)
+    truth = spheres(race, 0)
+    gaps = np.array([truth.gap(p) for p in race.fleet.state[:3].T.astype(float)])
+    assert gaps.min() > 0.25 - 1e-5
+    assert gaps.min() < 0.5  # there were trees to stay clear of
+    np.testing.assert_allclose(race.output.clearance, gaps - 0.15, atol=1e-5)
+
+
+def test_split_s_displaces_one_waypoint_an_episode(config, flown):
+    race = flown(config("env=split_s", "level=none"), N)
+    moved = race.fleet.waypoints - np.array(race.config.env.waypoints)[:, :, None]  # (7, 3, n)
+    which = np.abs(moved).max(axis=1) > 1e-6
+    assert (which.sum(axis=0) == 1).all()
+    counts = which.sum(axis=1)
+    assert stats.chisquare(counts).pvalue > SIGNIFICANT
+    offsets = np.concatenate([moved[w][:, which[w]].T for w in range(7)])
+    assert np.abs(offsets).max() <= 1 + 1e-6
+    assert uniform(offsets[:, 0], -1, 1)
+    assert uniform(offsets[:, 1], -1, 1)
+    assert race.fleet.waypoints[:, 2].min() == pytest.approx(0.3)  # gates at 1.05 m would go below
+
+
+def test_forest_waypoints_stay(started):
+    np.testing.assert_array_equal(
+        started.fleet.waypoints, np.broadcast_to(started.rules.waypoints[:, :, None], (9, 3, N))
+    )
+
+
+@pytest.fixture(scope="module")
+def randomized(config, flown):
+    return flown(config("randomization=full", "level=1", "randomization.maps=12"), N)
+
+
+def test_full_randomization_of_the_plant(randomized):
+    factor = randomized.fleet.plant[:3] / np.array([[0.26], [0.28], [0.42]])
+    np.testing.assert_allclose(factor, np.broadcast_to(factor[:1], factor.shape), rtol=1e-5)
+    assert uniform(factor[0], 0.5, 1.5)
+    assert uniform(randomized.fleet.plant[3], 0.9, 1.1)
+
+
+def test_full_randomization_of_maps(randomized):
+    assert randomized.field.maps == 12
+    assert stats.chisquare(np.bincount(randomized.fleet.map, minlength=12)).pvalue > SIGNIFICANT
+    different = {tuple(o.center for o in randomized.field.obstacles(m)) for m in range(12)}
+    assert len(different) == 12
+
+
+def test_full_randomization_of_waypoints(randomized):
+    moved = randomized.fleet.waypoints - randomized.rules.waypoints[:, :, None]
+    for w in range(9):
+        assert uniform(moved[w, 0], -1, 1)
+        assert uniform(moved[w, 1], -1, 1)
+        assert np.abs(moved[w, 2]).max() <= 1 + 1e-6
+    assert randomized.fleet.waypoints[:, 2].min() == pytest.approx(0.3)
+
+
+def test_full_randomization_asks_for_a_hundred_maps(config):
+    assert config("randomization=full").randomization.maps == 100
+    assert config("level=mixed").level.maps == 100
+
+
+def test_every_reset_draws_anew(config, trained, place_drones):
+    race = trained(config("randomization=full", "level=1", "randomization.maps=12", "curriculum=none"), 50)
+    first = race.fleet.waypoints.copy(), race.fleet.plant.copy(), race.fleet.state.copy()
+    race.reset()
+    for before, after in zip(first, (race.fleet.waypoints, race.fleet.plant, race.fleet.state), strict=True):
+        changed = (before != after).reshape(-1, 50).any(axis=0)
+        assert changed.all()
+
+
+def staged(config, **settings):
+    plain = config("level=none", "curriculum=none")
+    return dataclasses.replace(plain, curriculum=dataclasses.replace(plain.curriculum, **settings))
+
+
+def test_gate_starts_are_near_the_waypoint_before_the_target(config, trained):
+    race = trained(staged(config, gate_starts=1.0), N)
+    target = race.fleet.target
+    assert stats.chisquare(np.bincount(target, minlength=9)).pvalue > SIGNIFICANT
+    track = race.config.env
+    before = np.array([track.start, *track.waypoints])[target]
+    assert np.abs(race.fleet.state[:3].T - before).max() <= 1 + 1e-5
+    np.testing.assert_array_equal(race.fleet.staged, target > 0)
+    np.testing.assert_array_equal(race.fleet.first_target, target)
+
+
+def test_the_share_of_gate_starts(config, trained):
+    race = trained(staged(config, gate_starts=0.4), N)
+    expected = 0.4 * 8 / 9  # of the gate starts, one in nine is at the start
+    assert stats.binomtest(int(race.fleet.staged.sum()), N, expected).pvalue > SIGNIFICANT
+
+
+def test_evaluation_ignores_the_curriculum(config, flown):
+    eager = staged(config, gate_starts=0.5, memory_starts=0.5, cost_initial=0.1, cost_hold=0.5, cost_ramp=1.0)
+    race, plain = flown(eager, 200), flown(staged(config), 200)
+    assert (race.fleet.target == 0).all()
+    np.testing.assert_array_equal(race.fleet.state, plain.fleet.state)
+    np.testing.assert_array_equal(race.current_weights, plain.rules.weights)
+    race.set_progress(0.0)
+    np.testing.assert_array_equal(race.current_weights, plain.rules.weights)
+
+
+def test_staged_starts_are_not_counted(config, trained, hover):
+    race = trained(staged(config, gate_starts=0.5), 200)
+    real = ~race.fleet.staged
+    assert 80 < real.sum() < 150
+    race.fleet.state[3] = np.nan
+    out = race.step(hover(200))
+    assert (out.outcome == DIVERGED).all()
+    ledger = race.take_ledger()
+    assert ledger["episodes"] == ledger["diverged"] == real.sum()
+    assert race.take_ledger()["episodes"] == 0
+
+
+WAYPOINT = np.array([-20.0, 0.0, 1.12])
+
+
+def test_a_remembered_start_is_the_passing_exactly(config, trained, place_drones, hover):
+    """One drone passes the first waypoint in a world of its own; every later start is that very moment."""
+    settings = config("randomization=full", "level=1", "randomization.maps=12", "curriculum=none")
+    settings = dataclasses.replace(settings, curriculum=dataclasses.replace(settings.curriculum, memory_starts=1.0))
+    race = trained(settings, 4)
+    race.fleet.target[:] = 0
+    race.fleet.staged[:] = False
+    place_drones(race, WAYPOINT + [0, 3, 3], (0, 0, 0))
+    race.fleet.plant[:] = np.random.default_rng(0).uniform(0.2, 0.9, (4, 4))
+    race.fleet.waypoints[:, :, 0] = race.rules.waypoints + 0.125
+    race.fleet.state[:6, 0] = [*WAYPOINT + 0.125 - [0.4, 0, 0], 20, 0, 0]
+    race.fleet.map[0] = 7
+    race.fleet.steps[0] = 41
+    race.step(hover(4))
+    assert race.memory.count.tolist() == [0, 1, *[0] * 7]
+    fleet = race.fleet
+    names = ("state", "plant", "waypoints", "steps", "map")
+    kept = {name: getattr(fleet, name)[..., 0].copy() for name in names}
+    assert kept["steps"] == 42
+    race.fleet.state[3] = np.nan
+    assert (race.step(hover(4)).outcome == DIVERGED).all()
+    for name in names:
+        for i in range(4):
+            np.testing.assert_array_equal(getattr(fleet, name)[..., i], kept[name], err_msg=name)
+    assert fleet.staged.all()
+    assert (fleet.target == 1).all()
+    assert (fleet.tally[4] == 0).all()  # the return starts anew
+    assert race.take_ledger()["episodes"] == 4  # the four real starts, and none of the staged
+
+
+def test_the_memory_is_a_ring(config, trained, place_drones, hover):
+    race = trained(staged(config, memory_starts=0.5, memory_size=3), 5)
+    place_drones(race, WAYPOINT - [0.4, 0, 0], (20, 0, 0))
+    race.fleet.steps[:] = np.arange(5)
+    race.fleet.target[:] = 0
+    race.step(hover(5))
+    assert race.memory.count[1] == 5
+    assert sorted(race.memory.record[1, :, -2].tolist()) == [3, 4, 5]  # steps of drones 2, 3 and 4
+    race.fleet.state[3] = np.nan
+    race.step(hover(5))
+    remembered = race.fleet.target == 1
+    assert set(race.fleet.steps[remembered].tolist()) <= {3, 4, 5}
+    assert (race.fleet.steps[~remembered] == 0).all()
+
+
+def test_with_nothing_to_remember_starts_are_near_waypoints(config, trained):
+    race = trained(staged(config, memory_starts=1.0), 200)
+    assert (race.memory.count == 0).all()
+    assert len(set(race.fleet.target.tolist())) == 9
+
+
+def test_episodes_restart_at_once_in_training(config, trained, place_drones, hover):
+    race = trained(staged(config), 3)
+    place_drones(race, [[0, 0, 4], [0, 0, 4], [0, 0, 0.05]], [[0, 0, 0], [0, 0, 0], [0, 0, -5]])
+    out = race.step(hover(3))
+    assert out.outcome[:2].tolist() == [FLYING, FLYING]
+    assert out.outcome[2] not in (FLYING, CRASHED)
+    assert race.fleet.steps.tolist() == [1, 1, 0]
+    assert np.abs(race.fleet.state[:2, 2] - np.array(race.config.env.start[:2])).max() <= 1
+    np.testing.assert_allclose(out.terminal_observation[2, :3] * 10, [0, 0, -0.05], atol=2e-3)
+    np.testing.assert_allclose(out.observation[2, :3] * 10, race.fleet.state[:3, 2], rtol=1e-6)
