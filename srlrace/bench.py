@@ -7,6 +7,7 @@ one that was disturbed least. Rates are environment steps per second, one step b
 
 from __future__ import annotations
 
+import itertools
 import json
 import platform
 import statistics
@@ -124,7 +125,7 @@ def bench_training(config: Config) -> Row:
 
     model.learn(batch * (ROUNDS + 1), mark)
     marks = [*marks[:: algo.n_steps], time.perf_counter()]
-    figures = [batch / (b - a) for a, b in zip(marks[1:-1], marks[2:], strict=True)]
+    figures = [batch / (b - a) for a, b in itertools.pairwise(marks[1:])]
     network = "-".join(str(units) for units in algo.policy_layers)
     work = f"{algo.n_envs} x {algo.n_steps}, batch {algo.batch_size}, {algo.n_epochs} epochs, net {network}"
     return Row("training", work, "float32", algo.n_envs, algo.threads, max(figures), statistics.median(figures))

@@ -25,9 +25,9 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from srlrace.config import Config, LevelConfig, to_dict
 from srlrace.files import atomic_write
 from srlrace.learn.policy import act, load_policy
+from srlrace.provenance import versions
 from srlrace.recording import Flight, RecordingWriter, SceneObstacle
 from srlrace.report.stats import wilson
-from srlrace.provenance import versions
 from srlrace.runs import RunError, RunFolder
 from srlrace.task.arrays import FINISHED, FLYING, MIN_CLEARANCE, OUTCOMES, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED
 from srlrace.task.race import Race, RaceMode
@@ -134,7 +134,7 @@ class History:
                 map_seed=rows[i]["map"],
                 outcome=rows[i]["outcome"],
                 finish_time=rows[i]["time_s"],
-                time=np.arange(end) * race.rules.dt,
+                time=np.arange(end, dtype=np.float64) * race.rules.dt,
                 position_w=flown[:, 0:3],
                 velocity_w=flown[:, 3:6],
                 quaternion_wb=flown[:, 6:10],
@@ -154,7 +154,9 @@ def scene_obstacle(obstacle: Any) -> SceneObstacle:
     x, _, z = obstacle.size
     if obstacle.kind == "box":
         return SceneObstacle("box", obstacle.center, edge=x)
-    return SceneObstacle(obstacle.kind, obstacle.center, radius=0.5 * x, height=z if obstacle.kind == "cylinder" else 0.0)
+    return SceneObstacle(
+        obstacle.kind, obstacle.center, radius=0.5 * x, height=z if obstacle.kind == "cylinder" else 0.0
+    )
 
 
 def fly(policy: ActorCriticPolicy, suite: Suite, episodes: int, recorded: int) -> tuple[Race, History | None]:

@@ -11,7 +11,7 @@ from types import FrameType
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Interrupted(Exception):  # noqa: N818 - it is a request, not an error
+class Interrupted(Exception):
     """The user or the system asked the training to stop; its state has been saved."""
 
     def __init__(self, signum: int, run_id: str) -> None:

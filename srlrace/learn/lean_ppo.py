@@ -31,9 +31,9 @@ class LeanPPO(PPO):
     def _setup_model(self) -> None:
         super()._setup_model()
         extractor = self.policy.mlp_extractor
-        self.actor = Perceptron(cast(nn.Sequential, extractor.policy_net), cast(nn.Linear, self.policy.action_net))
-        self.critic = Perceptron(cast(nn.Sequential, extractor.value_net), self.policy.value_net)
-        self.log_std = cast(nn.Parameter, self.policy.log_std)
+        self.actor = Perceptron(extractor.policy_net, cast(nn.Linear, self.policy.action_net))
+        self.critic = Perceptron(extractor.value_net, self.policy.value_net)
+        self.log_std = self.policy.log_std
         parameters = list(self.policy.parameters())
         self.flat_gradient = torch.zeros(sum(p.numel() for p in parameters))
         for p, part in zip(parameters, self.flat_gradient.split([p.numel() for p in parameters]), strict=True):
@@ -66,14 +66,16 @@ class LeanPPO(PPO):
             rollout_buffer.episode_starts[step] = self._last_episode_starts
             rollout_buffer.values[step] = self.critic.forward(tensor).flatten().numpy()
             rollout_buffer.log_probs[step] = self._log_prob(noise).numpy()
-            self._last_obs, self._last_episode_starts = new_observation, dones
+            self._last_obs, self._last_episode_starts = cast(Any, new_observation), dones
         rollout_buffer.pos, rollout_buffer.full = n_rollout_steps, True
         last_values = self.critic.forward(torch.from_numpy(cast(np.ndarray[Any, Any], self._last_obs)))
         rollout_buffer.compute_returns_and_advantage(last_values=last_values, dones=dones)
         callback.on_rollout_end()
         return True
 
-    def _bootstrap(self, rewards: np.ndarray[Any, Any], dones: np.ndarray[Any, Any], infos: list[dict[str, Any]]) -> None:
+    def _bootstrap(
+        self, rewards: np.ndarray[Any, Any], dones: np.ndarray[Any, Any], infos: list[dict[str, Any]]
+    ) -> None:
         """Add the discounted value of the state in which an episode was truncated to its last reward."""
         truncated = [i for i in np.flatnonzero(dones).tolist() if infos[i].get("TimeLimit.truncated")]
         if truncated:

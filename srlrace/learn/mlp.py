@@ -17,7 +17,7 @@ def _tanh_slope(y: Tensor, g: Tensor) -> Tensor:
 
 
 def _relu_slope(y: Tensor, g: Tensor) -> Tensor:
-    return torch.ops.aten.threshold_backward(g, y, 0)  # type: ignore[no-any-return]
+    return torch.ops.aten.threshold_backward(g, y, 0)
 
 
 def _elu_slope(y: Tensor, g: Tensor) -> Tensor:

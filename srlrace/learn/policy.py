@@ -7,7 +7,7 @@ a stranger's policy executes nothing. SB3's own ``load`` functions unpickle and 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -52,7 +52,9 @@ def load_state(module: nn.Module, arrays: dict[str, NDArray[Any]], source: str) 
         raise TensorFileError(f"{source}: parameters {sorted(set(arrays) ^ set(expected))[:3]} do not match the config")
     for name, array in arrays.items():
         if array.shape != tuple(expected[name].shape) or array.dtype != expected[name].numpy().dtype:
-            raise TensorFileError(f"{source}: {name} has shape {array.shape}, the config asks {tuple(expected[name].shape)}")
+            raise TensorFileError(
+                f"{source}: {name} has shape {array.shape}, the config asks {tuple(expected[name].shape)}"
+            )
         if not np.isfinite(array).all():
             raise TensorFileError(f"{source}: {name} is not finite")
     module.load_state_dict({name: torch.from_numpy(np.array(array)) for name, array in arrays.items()})
@@ -78,6 +80,7 @@ def act(policy: ActorCriticPolicy, observation: NDArray[np.float32]) -> NDArray[
     """Return the deterministic action (n, 4) for observations (n, d), not yet clipped."""
     with torch.no_grad():
         tensor = torch.from_numpy(observation)
-        latent = policy.mlp_extractor.forward_actor(policy.extract_features(tensor, policy.pi_features_extractor))
+        features = cast(torch.Tensor, policy.extract_features(tensor, policy.pi_features_extractor))
+        latent = policy.mlp_extractor.forward_actor(features)
         action: NDArray[np.float32] = policy.action_net(latent).numpy()
     return action

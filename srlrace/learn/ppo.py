@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -57,7 +57,9 @@ def build_ppo(config: Config, env: RaceVecEnv) -> PPO:
 def start_hovering(model: PPO, env: RaceVecEnv) -> None:
     """Bias the untrained policy to hover thrust: an action of zero is twice that, and leaves through the ceiling."""
     with torch.no_grad():
-        model.policy.action_net.bias[0] = 2.0 * GRAVITY / float(env.race.rules.max_collective) - 1.0
+        cast(torch.nn.Linear, model.policy.action_net).bias[0] = (
+            2.0 * GRAVITY / float(env.race.rules.max_collective) - 1.0
+        )
 
 
 def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
@@ -90,9 +92,7 @@ def capture(model: PPO, env: RaceVecEnv) -> dict[str, NDArray[Any]]:
         "random": {
             "torch": torch.get_rng_state().numpy(),
             "numpy": np.asarray(numpy_state["state"]["key"]),
-            "numpy_position": np.array(
-                [numpy_state["state"]["pos"], numpy_state["has_gauss"]], np.int64
-            ),
+            "numpy_position": np.array([numpy_state["state"]["pos"], numpy_state["has_gauss"]], np.int64),
             "numpy_gauss": np.array(numpy_state["gauss"], np.float64),
         },
         "loop": {

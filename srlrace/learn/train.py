@@ -96,7 +96,8 @@ class Training:
         """Train to the end of the budget and write the policy."""
         remaining = self.config.algo.total_steps - self.model.num_timesteps
         if remaining > 0:
-            self.model.learn(remaining, RolloutBoundary(self), log_interval=None, reset_num_timesteps=False)
+            never: Any = None  # SB3 takes it, its annotation does not
+            self.model.learn(remaining, RolloutBoundary(self), log_interval=never, reset_num_timesteps=False)
             self.between_rollouts(final=True)
         save_policy(self.model.policy, self.folder.path / "policy.safetensors")
 

@@ -88,7 +88,7 @@ class Memory(NamedTuple):
     """States in which earlier episodes passed a waypoint, one ring per target."""
 
     record: Floats  # (k, capacity, record size)
-    count: NDArray[np.int64]  # (k,) passings ever written to each ring
+    count: NDArray[np.int64]  # type: ignore[assignment]  # (k,) passings ever written to each ring; hides tuple.count
 
 
 class Output(NamedTuple):
@@ -113,4 +113,4 @@ class Scratch(NamedTuple):
     command: Floats  # (4, n)
     previous: Floats  # (3, n) m, positions before the step
     distance: Floats  # (N,) m
-    index: NDArray[np.int32]  # (N,)
+    index: NDArray[np.int32]  # type: ignore[assignment]  # (N,); hides tuple.index

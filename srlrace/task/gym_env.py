@@ -60,7 +60,10 @@ class DroneRaceEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Fly one control period with collective thrust and body rates in [-1, 1]^4."""
         out = self._race.step(np.asarray(action, np.float32).reshape(1, -1))
         outcome = int(out.outcome[0])
-        info = {"outcome": OUTCOMES[outcome], "reward_terms": dict(zip(TERMS, out.reward_terms[:, 0].tolist(), strict=True))}
+        info = {
+            "outcome": OUTCOMES[outcome],
+            "reward_terms": dict(zip(TERMS, out.reward_terms[:, 0].tolist(), strict=True)),
+        }
         ended = outcome != FLYING
         observation = out.terminal_observation if ended else out.observation
         truncated = outcome == TIMEOUT

@@ -156,7 +156,10 @@ class Race:
         self.output = make_output(self.rules, self.n, self.observation_size, dtype)
         nearest = config.observation.obstacles
         self._scratch = Scratch(
-            np.zeros((4, self.n), dtype), np.zeros((3, self.n), dtype), np.zeros(nearest, dtype), np.zeros(nearest, np.int32)
+            np.zeros((4, self.n), dtype),
+            np.zeros((3, self.n), dtype),
+            np.zeros(nearest, dtype),
+            np.zeros(nearest, np.int32),
         )
         self.current_weights = self.rules.weights.copy()
         self._has_curriculum = mode.curriculum
@@ -182,7 +185,14 @@ class Race:
     def step(self, action: NDArray[np.float32]) -> Output:
         """Advance every drone by one control step with ``action`` (n, 4), clipped to [-1, 1]."""
         step_all(
-            action, self.fleet, self.rules, self.field.arrays, self.memory, self._scratch, self.output, self.current_weights
+            action,
+            self.fleet,
+            self.rules,
+            self.field.arrays,
+            self.memory,
+            self._scratch,
+            self.output,
+            self.current_weights,
         )
         return self.output
 
@@ -203,12 +213,14 @@ class Race:
         for name, target in mine.items():
             source = arrays[name]
             if source.shape != target.shape or source.dtype != target.dtype:
-                raise ValueError(f"snapshot of {name} is {source.dtype}{source.shape}, not {target.dtype}{target.shape}")
+                raise ValueError(
+                    f"snapshot of {name} is {source.dtype}{source.shape}, not {target.dtype}{target.shape}"
+                )
         for name, target in mine.items():
             target[...] = arrays[name]
 
     def _named_arrays(self) -> dict[str, NDArray[Any]]:
-        groups = {"fleet": self.fleet, "memory": self.memory}
+        groups: dict[str, Any] = {"fleet": self.fleet, "memory": self.memory}
         arrays = {f"{g}.{name}": array for g, group in groups.items() for name, array in group._asdict().items()}
         return {**arrays, "output.observation": self.output.observation, "output.ledger": self.output.ledger}
 

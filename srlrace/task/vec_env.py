@@ -17,12 +17,12 @@ from srlrace.task.arrays import EPISODE_RETURN, FINISHED, FLYING, OUTCOMES, TIME
 from srlrace.task.race import ACTION_SIZE, Race, RaceMode
 
 
-def observation_space(size: int) -> spaces.Box:
+def observation_space(size: int) -> spaces.Box[np.float32]:
     """Return the space of an observation of ``size`` scaled values."""
     return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
 
-def action_space() -> spaces.Box:
+def action_space() -> spaces.Box[np.float32]:
     """Return the space of an action: collective thrust and body rates, each in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
 

@@ -157,9 +157,7 @@ def sort_by_distance(lattices: Floats, ids: Ints, centre: Vector) -> None:
 
 
 @builder
-def candidates(
-    lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Vector, half: Vector, out: Ints
-) -> int:
+def candidates(lattices: Floats, pool: Ints, nearest: int, reach: Real, centre: Vector, half: Vector, out: Ints) -> int:
     """Write to `out` the obstacles of `pool` that the box needs, nearest to its centre first; return how many."""
     rivals = np.empty_like(pool)
     rivals = rivals[: keep_reachable(lattices, pool, nearest, reach, centre, half, rivals)]
@@ -238,9 +236,7 @@ def map_records(
             count = (min(TILE, nx - first[0]), min(TILE, ny - first[1]), nz)
             tiles[ty, tx] = used
             block = cells[:, first[1] : first[1] + count[1], first[0] : first[0] + count[0]]
-            used += tile_records(
-                lattices, everything, low, size, first, count, nearest, reach, cells, records[used:]
-            )
+            used += tile_records(lattices, everything, low, size, first, count, nearest, reach, cells, records[used:])
             block += tiles[ty, tx]
     return cells, tiles, records[:used]
 
