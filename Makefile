@@ -13,7 +13,7 @@ NODE_MODULES := tests/readers/node_modules
 .PHONY: demo test lint bench readers clean
 
 demo: $(STAMP)
-	$(BIN)/srlrace train env=forest algo=demo
+	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
 	$(BIN)/srlrace eval --episodes 1000
 	$(BIN)/srlrace report
 
