@@ -44,7 +44,7 @@ def run(words: list[str], folder: Path, **environment: str) -> subprocess.Comple
 
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the files that the pages show, and one finished, evaluated run of a policy that can do nothing yet."""
+    """A folder with the files that the pages show, and one evaluated run, of a policy that can do nothing yet."""
     folder = tmp_path_factory.mktemp("docs")
     for block in blocks("docs/extend.md", "yaml"):
         name, text = re.fullmatch(r"# (\S+)\n(.*)", block, re.DOTALL).groups()  # type: ignore[union-attr]
@@ -129,7 +129,8 @@ def test_the_makefile_has_what_the_readme_runs() -> None:
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for page in ("README.md", "CONTRIBUTING.md"):
         wanted = re.findall(r"^\$ make (\w+)", (ROOT / page).read_text(), re.MULTILINE)
-        assert wanted and set(wanted) <= set(targets)
+        assert wanted
+        assert set(wanted) <= set(targets)
 
 
 # Code

@@ -1,6 +1,7 @@
 """What ends a step and an episode: passing and collision at racing speed, bounds, horizon, broken states."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -221,7 +222,7 @@ def test_a_whole_course_flown(config, flown, pilot, track, gates):
         path.append(race.fleet.state[:3, 0].astype(float))
     path.append(race.fleet.state[:3, 0].astype(float))
     assert race.output.outcome[0] == FINISHED
-    fine = np.concatenate([np.linspace(a, b, 100, endpoint=False) for a, b in zip(path, path[1:], strict=False)])
+    fine = np.concatenate([np.linspace(a, b, 100, endpoint=False) for a, b in itertools.pairwise(path)])
     assert race.rules.sequence.tolist() == gates
     at, times = 0, []
     for gate in gates:
