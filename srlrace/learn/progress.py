@@ -39,6 +39,7 @@ COLUMNS = (
     *(f"train/{name}" for name in LEARNER),
 )
 LINE_EVERY = 10.0  # s between plain lines where there is no terminal
+BAR_WIDTH = 10  # characters: with the figures the line just fits a terminal of 80
 
 
 def outcome_ratios(ledger: dict[str, float], steps: int) -> dict[str, float | None]:
@@ -107,15 +108,15 @@ class Display:
         self._total = total
         self._last_line = -LINE_EVERY
         self._bar = Progress(
-            TextColumn("[bold]{task.fields[label]}", markup=True),
-            BarColumn(),
+            BarColumn(bar_width=BAR_WIDTH),
             TextColumn("{task.percentage:3.0f}%"),
             TimeRemainingColumn(),
             TextColumn("{task.fields[figures]}", markup=False),
             console=self._console,
+            transient=True,
             disable=not self._console.is_terminal,
         )
-        self._task = self._bar.add_task("", total=total, label=label, figures="")
+        self._task = self._bar.add_task("", total=total, figures="")
 
     def __enter__(self) -> Display:
         self._bar.start()
@@ -144,11 +145,11 @@ def figures_text(row: dict[str, Any]) -> str:
 
     return "  ".join(
         (
-            figure("steps_per_s", 1e-3, "{:.0f} k steps/s"),
-            f"finished {figure('success_ratio', 100, '{:.1f} %')}",
-            f"crashed {figure('crash_ratio', 100, '{:.1f} %')}",
-            f"time {figure('time_s', 1, '{:.2f} s')}",
-            f"reward {figure('reward', 1, '{:.3f}')}",
+            figure("steps_per_s", 1e-3, "{:.0f} k/s"),
+            f"finished {figure('success_ratio', 100, '{:.0f} %')}",
+            f"crashed {figure('crash_ratio', 100, '{:.0f} %')}",
+            figure("time_s", 1, "{:.2f} s"),
+            f"reward {figure('reward', 1, '{:.2f}')}",
         )
     )
 

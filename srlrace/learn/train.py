@@ -171,6 +171,7 @@ def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
             logger.info("%s is finished; skipped", folder.id)
             return folder.path
         begin_run(config, folder, argv)
+        logger.info("training %s: %.1f M steps", folder.id, config.algo.total_steps / 1e6)
         try:
             steps, wall = attempt(config, folder, request)
         except Exception as error:
@@ -179,6 +180,7 @@ def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
             raise
         facts = {**read_json(folder.path / "run.json"), "steps": steps, "train_wall_s": round(wall, 3)}
         atomic_write(folder.path / "run.json", json.dumps(facts, indent=1) + "\n")
+        logger.info("%s is finished after %.0f s; evaluate it with: srlrace eval %s", folder.id, wall, folder.id)
     return folder.path
 
 
