@@ -170,7 +170,7 @@ def test_song_sees_neither_position_nor_obstacles(config, flown, place_drones, h
     here, there = flown(settings, 1), flown(settings, 1)
     shift = np.array([4.0, 2.0, 2.0])
     place_drones(here, (-24.0, 0.0, 2.0), (5, 1, 0))
-    place_drones(there, (-24.0, 0.0, 2.0, *shift), (5, 1, 0))
+    place_drones(there, np.add((-24.0, 0.0, 2.0), shift), (5, 1, 0))
     there.fleet.waypoints[:] = here.fleet.waypoints + shift[None, :, None]
     seen = [
         np.concatenate([r.step(hover(1)).observation, r.output.terminal_observation]).max(axis=0) for r in (here, there)

@@ -192,7 +192,7 @@ def test_a_remembered_start_is_the_passing_exactly(config, trained, place_drones
     race = trained(settings, 4)
     race.fleet.target[:] = 0
     race.fleet.staged[:] = False
-    place_drones(race, [*WAYPOINT, 0, 3, 3], (0, 0, 0))
+    place_drones(race, np.add(WAYPOINT, [0, 3, 3]), (0, 0, 0))
     race.fleet.plant[:] = np.random.default_rng(0).uniform(0.2, 0.9, (4, 4))
     race.fleet.waypoints[:, :, 0] = race.rules.waypoints + 0.125
     race.fleet.state[:6, 0] = [*WAYPOINT + 0.125 - [0.4, 0, 0], 20, 0, 0]
