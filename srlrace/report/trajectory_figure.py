@@ -98,7 +98,7 @@ def _draw_space(axes: Axes3D, course: Course, config: Config, scale: Normalize) 
     for flight in course.flights:
         lines = Line3DCollection(_segments(flight.position), cmap=SPEED_COLOURS, norm=scale, linewidths=1.0)
         lines.set_array(flight.speed[1:])
-        axes.add_collection3d(lines)
+        axes.add_collection3d(lines, autolim=False)
     low, high = np.array(config.env.bounds_low), np.array(config.env.bounds_high)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
