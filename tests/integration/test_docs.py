@@ -20,7 +20,8 @@ from srlrace.overrides import check_arguments
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-RUNNABLE = ("README.md", "docs/start.md", "docs/extend.md")
+COMMANDED = ("README.md", "docs/start.md", "docs/extend.md", "docs/runs.md", "docs/tracks.md")
+PROGRAMS = ("docs/start.md", "docs/extend.md", "docs/physics.md", "docs/recordings.md")
 TINY = ["level=none", "algo.total_steps=100", "algo.n_envs=10", "algo.n_steps=10", "algo.batch_size=50"]
 
 
@@ -32,7 +33,7 @@ def blocks(page: str, language: str) -> list[str]:
 def commands(page: str) -> list[str]:
     """What follows the prompt in the console blocks of a page."""
     lines = (line for block in blocks(page, "console") for line in block.splitlines())
-    return [" ".join(shlex.split(line[2:], comments=True)) for line in lines if line.startswith("$ srlrace")]
+    return [shlex.join(shlex.split(line[2:], comments=True)) for line in lines if line.startswith("$ srlrace")]
 
 
 def run(words: list[str], folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -46,11 +47,11 @@ def run(words: list[str], folder: Path, **environment: str) -> subprocess.Comple
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the files that the pages show, and one evaluated run, of a policy that can do nothing yet."""
     folder = tmp_path_factory.mktemp("docs")
-    for block in blocks("docs/extend.md", "yaml"):
-        name, text = re.fullmatch(r"# (\S+)\n(.*)", block, re.DOTALL).groups()  # type: ignore[union-attr]
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
-    for words in (["train", *TINY], ["eval", "--episodes", "2"]):
+    for block in [*blocks("docs/extend.md", "yaml"), *blocks("docs/tracks.md", "yaml")]:
+        if named := re.fullmatch(r"# (\S+\.yaml)\n(.*)", block, re.DOTALL):
+            (folder / named[1]).parent.mkdir(parents=True, exist_ok=True)
+            (folder / named[1]).write_text(named[2])
+    for words in (["train", *TINY], ["eval", "--episodes", "20"]):
         done = run(["-m", "srlrace", *words], folder)
         assert done.returncode == 0, done.stderr
     return folder
@@ -99,7 +100,7 @@ def test_every_page_is_reached_from_the_readme() -> None:
 # Commands
 
 
-@pytest.mark.parametrize("command", sorted({command for page in RUNNABLE for command in commands(page)}))
+@pytest.mark.parametrize("command", sorted({command for page in COMMANDED for command in commands(page)}))
 def test_commands_are_understood(command: str, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Train commands compose; of the others, Typer takes every option."""
     monkeypatch.chdir(workplace)
@@ -136,9 +137,13 @@ def test_the_makefile_has_what_the_readme_runs() -> None:
 # Code
 
 
-@pytest.mark.parametrize("page", ["docs/start.md", "docs/extend.md"])
+@pytest.mark.parametrize("page", PROGRAMS)
 def test_python_blocks_run(page: str, workplace: Path) -> None:
-    for code in blocks(page, "python"):
+    """The blocks of a page one after another, as one reads them."""
+    (finished,) = (workplace / "runs").glob("forest-*")
+    programs = blocks(page, "python")
+    texts = programs if page == "docs/extend.md" else ["\n".join(programs)]
+    for code in (text.replace("runs/<id>", str(finished)) for text in texts):
         done = run(["-W", "error::DeprecationWarning:__main__", "-c", code], workplace)
         assert done.returncode == 0, f"{code}\n{done.stderr}"
 
