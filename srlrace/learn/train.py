@@ -37,13 +37,17 @@ class Diverged(RunError):
     """The training met a value that is not finite; the last checkpoint is from before it."""
 
 
-def check_finite(model: PPO) -> None:
-    """Raise `Diverged` when rollout, losses or weights are not finite."""
+def check_rollout(model: PPO) -> None:
+    """Raise `Diverged` when what a rollout collected is not finite, before anything is learned from it."""
     buffer = model.rollout_buffer
     arrays = {"observation": buffer.observations, "reward": buffer.rewards, "action": buffer.actions}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise Diverged(f"{name} is not finite in the rollout that ended at step {model.num_timesteps}")
+
+
+def check_update(model: PPO) -> None:
+    """Raise `Diverged` when losses or weights are not finite."""
     loss = model.logger.name_to_value.get("train/loss", 0.0)
     weights = torch.cat([p.detach().flatten() for p in model.policy.parameters()])
     if not np.isfinite(loss) or not bool(torch.isfinite(weights).all()):
@@ -59,6 +63,9 @@ class RolloutBoundary(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._training.between_rollouts()
+
+    def _on_rollout_end(self) -> None:
+        check_rollout(self._training.model)
 
     def _on_step(self) -> bool:
         return True
@@ -106,7 +113,7 @@ class Training:
         steps = self.model.num_timesteps
         fresh = steps > self._seen_steps
         if fresh:
-            check_finite(self.model)
+            check_update(self.model)
             self._seen_steps = steps
             self._report(final)
         self.env.race.set_progress(steps / self.config.algo.total_steps)
