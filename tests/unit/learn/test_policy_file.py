@@ -199,8 +199,8 @@ def a_link(path):
 
 
 BROKEN = (
-    nothing, garbage, truncated, truncated_header, appended, huge_header, larger_than_allowed, no_json, deep_json, a_list,
-    bad_metadata, past_the_end, overlapping, strange_type, a_pickle, a_zip, other_format, a_folder, a_link,
+    nothing, garbage, truncated, truncated_header, appended, huge_header, larger_than_allowed, no_json, deep_json,
+    a_list, bad_metadata, past_the_end, overlapping, strange_type, a_pickle, a_zip, other_format, a_folder, a_link,
 )  # fmt: skip
 
 

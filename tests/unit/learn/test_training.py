@@ -265,8 +265,9 @@ def test_ratios_of_a_ledger():
     ledger |= {"finish_time": 73.0, "gates_passed": 120.0, "reward/progress": 50.0, "reward/time": -2.0}
     ratios = outcome_ratios(ledger, 100)
     expected = {
-        "success_ratio": 0.5, "crash_ratio": 0.4, "obstacle_ratio": 0.2, "out_of_bounds_ratio": 0.15, "timeout_ratio": 0.1,
-        "time_s": 7.3, "gates_passed": 6.0, "reward/progress": 0.5, "reward/time": -0.02, "reward": 0.48,
+        "success_ratio": 0.5, "crash_ratio": 0.4, "obstacle_ratio": 0.2, "out_of_bounds_ratio": 0.15,
+        "timeout_ratio": 0.1, "time_s": 7.3, "gates_passed": 6.0, "reward/progress": 0.5,
+        "reward/time": -0.02, "reward": 0.48,
     }  # fmt: skip
     assert {name: ratios[name] for name in expected} == pytest.approx(expected)
     assert "50 %" in figures_text({**ratios, "steps_per_s": 70e3})
