@@ -2,6 +2,7 @@
 # make test    run the tests
 # make lint    ruff and mypy
 # make bench   throughput on this machine
+# make pictures RUN=...   the README's picture, from a run that was evaluated with a recording
 # Both build the same virtual environment first. PYTHON and VENV may be set on the command line.
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum | cut -d' ' -f1)
 NODE_MODULES := tests/readers/node_modules
 
-.PHONY: demo test lint bench readers clean
+.PHONY: demo test lint bench pictures readers clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -27,6 +28,11 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/srlrace bench
+
+pictures: $(STAMP)
+	$(BIN)/srlrace report --out results
+	mkdir -p docs/images
+	cp results/figures/$(RUN)-train_map.png docs/images/forest.png
 
 # The TypeScript MCAP reader, a test's independent witness; without npm that test is skipped.
 readers:
