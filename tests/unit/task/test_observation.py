@@ -1,6 +1,7 @@
 """Every block of every observation preset against numpy, scipy's rotations and the enumeration of all spheres."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -177,3 +178,16 @@ def test_song_sees_neither_position_nor_obstacles(config, flown, place_drones, h
     ]
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)
     assert "position" not in settings.observation.blocks
+
+
+def test_the_documented_indices(config):
+    """The table of presets in docs/task.md."""
+    page = (Path(__file__).parents[3] / "docs" / "task.md").read_text()
+    for preset, size in SIZES.items():
+        [(documented, blocks)] = re.findall(rf"^\| `{preset}` \| (\d+) \| (.*) \|$", page, re.MULTILINE)
+        assert int(documented) == size
+        at, expected = 0, []
+        for name in config(f"observation={preset}").observation.blocks:
+            expected.append(f"`{name}` {at}-{at + BLOCK_SIZES[name] - 1}")
+            at += BLOCK_SIZES[name]
+        assert blocks == ", ".join(expected)

@@ -1,6 +1,8 @@
 """Reward terms by name against numpy, their sum, the curriculum; and the trap of a reward that punishes finishing."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,3 +170,26 @@ def test_finishing_sooner_pays_more(config, flown, place_drones, hover):
         flying = out.outcome == FLYING
     assert (out.outcome == FINISHED).all()
     assert returns[0] < returns[1] < returns[2]
+
+
+def test_the_documented_numbers(config, flown, place_drones, hover):
+    """The table of discounted returns in docs/task.md."""
+    page = (Path(__file__).parents[3] / "docs" / "task.md").read_text()
+    rows = re.findall(r"^\| (0\.\d+) \| `(\w+)` \| (\S+) \| (\S+) \| (\S+) \|$", page, re.MULTILINE)
+    assert len(rows) == 6
+    for gamma, preset, *numbers in rows:
+        settings = config(f"reward={preset}", "level=2")
+        settings = dataclasses.replace(settings, algo=dataclasses.replace(settings.algo, gamma=float(gamma)))
+        worth = discounted_returns(settings, flown, place_drones, hover)
+        assert list(worth.values()) == pytest.approx([float(number) for number in numbers], abs=0.0051)
+
+
+def test_the_documented_weights(config):
+    page = (Path(__file__).parents[3] / "docs" / "task.md").read_text()
+    page = page.partition("## Reward")[2]
+    [head] = re.findall(r"^\| term \|.*$", page, re.MULTILINE)
+    presets = re.findall(r"`(\w+)`", head)
+    for k, term in enumerate(TERMS):
+        [row] = re.findall(rf"^\| `{term}` \|.*$", page, re.MULTILINE)
+        documented = [float(cell) for cell in row.strip("| ").split(" | ")[-len(presets) :]]
+        assert documented == [weights(config(f"reward={preset}").reward)[k] for preset in presets], term
