@@ -191,5 +191,5 @@ def test_the_documented_weights(config):
     presets = re.findall(r"`(\w+)`", head)
     for k, term in enumerate(TERMS):
         [row] = re.findall(rf"^\| `{term}` \|.*$", page, re.MULTILINE)
-        documented = [float(cell) for cell in row.strip("| ").split(" | ")[-len(presets) :]]
+        documented = [float(cell) for cell in row.split("|")[-len(presets) - 1 : -1]]
         assert documented == [weights(config(f"reward={preset}").reward)[k] for preset in presets], term
