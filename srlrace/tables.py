@@ -38,7 +38,8 @@ def text(value: object, style: str = "") -> Text:
 def runs_table(runs: Sequence[RunFolder]) -> Table:
     """One row a run: id, state, how far, what training last saw, what evaluations said."""
     table = Table("run", "state", "trained", "finished", "crashed", "evaluated", box=None, pad_edge=False)
-    table.columns[0].no_wrap = table.columns[1].no_wrap = True  # an id is there to be copied
+    for column in table.columns[:3]:
+        column.no_wrap = True  # an id is there to be copied
     for run in runs:
         state, progress = run.state, run.progress
         results = "; ".join(brief(suite, summary) for suite, summary in run.evaluations.items())

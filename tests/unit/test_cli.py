@@ -186,7 +186,7 @@ def test_resume(place, monkeypatch, capfd):
 
 
 def test_list_and_show(place, monkeypatch, capsys):
-    config = compose(["reward=no_safety"])
+    config = compose(["reward=no_safety", "algo.total_steps=20_000_000", "algo.gamma=0.99"])
     found = store(place / "runs", config)
     store(place / "runs", compose([]), "lock")
     (found.path / "run.json").write_text(json.dumps({"argv": ["srlrace", "[red]\x1b[2J"]}))
