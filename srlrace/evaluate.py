@@ -187,6 +187,7 @@ def episode_row(suite: Suite, race: Race, i: int) -> dict[str, Any]:
     passing = out.final_passing_time[:, i]
     gates = len(track.waypoints)
     finished = out.outcome[i] == FINISHED
+    obstacles = suite.field.obstacles(int(race.fleet.map[i]))
     has_lap = track.laps > 0 and passed > gates
     return {
         "episode": i,
@@ -197,7 +198,7 @@ def episode_row(suite: Suite, race: Race, i: int) -> dict[str, Any]:
         "lap_time_s": float(passing[gates]) - float(passing[0]) if has_lap else None,
         "last_gate_time_s": float(passing[gates - 1]) if passed >= gates else None,
         "gates_passed": passed,
-        "min_clearance_m": float(out.final_tally[MIN_CLEARANCE, i]),
+        "min_clearance_m": float(out.final_tally[MIN_CLEARANCE, i]) if obstacles else None,
         "mean_speed_mps": float(out.final_tally[PATH_LENGTH, i]) / seconds,
         "peak_speed_mps": float(out.final_tally[PEAK_SPEED, i]),
         "path_length_m": float(out.final_tally[PATH_LENGTH, i]),
@@ -247,7 +248,9 @@ def summarise(run_id: str, suite: Suite, rows: list[dict[str, Any]]) -> dict[str
         "penalised_time_s": (math.fsum(times) + horizon * (len(rows) - len(times))) / len(rows),
         "mean_speed_mps": mean_or_none([row["mean_speed_mps"] for row in finished]),
         "peak_speed_mps": max(row["peak_speed_mps"] for row in rows),
-        "min_clearance_m": min((row["min_clearance_m"] for row in finished), default=None),
+        "min_clearance_m": min(
+            (row["min_clearance_m"] for row in finished if row["min_clearance_m"] is not None), default=None
+        ),
         "versions": versions(),
     }
 

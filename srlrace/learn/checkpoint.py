@@ -52,7 +52,7 @@ def load_generation(seal_path: Path) -> Checkpoint:
     try:
         seal = read_json(seal_path)
         digest, steps, facts = str(seal["sha256"]), int(seal["steps"]), dict(seal["facts"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise TensorFileError(f"{seal_path}: {error}") from None
     path = seal_path.with_suffix(".safetensors")
     data = read_limited(path, MAX_BYTES)

@@ -13,6 +13,7 @@ from stable_baselines3.common.logger import Logger
 from srlrace.config import AlgoConfig, Config
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, state_arrays
+from srlrace.learn.tensors import TensorFileError
 from srlrace.sim.airframe import GRAVITY
 from srlrace.task.vec_env import RaceVecEnv
 
@@ -105,8 +106,14 @@ def capture(model: PPO, env: RaceVecEnv) -> dict[str, NDArray[Any]]:
 
 
 def reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]]) -> None:
-    """Continue from what `capture` returned."""
+    """Continue from what `capture` returned; `TensorFileError` when it is not the state of such a training."""
+    try:
+        _reinstate(model, env, arrays)
+    except (KeyError, ValueError, TypeError, IndexError, RuntimeError) as error:
+        raise TensorFileError(f"checkpoint: not the state of this training ({error})") from None
 
+
+def _reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]]) -> None:
     def group(name: str) -> dict[str, NDArray[Any]]:
         return {key.split("/", 1)[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
 

@@ -104,7 +104,7 @@ class Output(NamedTuple):
     final_tally: Floats  # (len(TALLY), n): valid where an episode ended
     final_passing_time: Floats  # (k, n): valid where an episode ended
     final_target: NDArray[np.int32]  # (n,): valid where an episode ended
-    ledger: NDArray[np.float64]  # (len(LEDGER) + terms,): episodes from the start only
+    ledger: NDArray[np.float64]  # (len(LEDGER) + terms,): outcomes of episodes from the start only; terms of every step
 
 
 class Scratch(NamedTuple):

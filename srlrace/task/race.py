@@ -216,8 +216,27 @@ class Race:
                 raise ValueError(
                     f"snapshot of {name} is {source.dtype}{source.shape}, not {target.dtype}{target.shape}"
                 )
+        self._check_indices(arrays)
         for name, target in mine.items():
             target[...] = arrays[name]
+
+    def _check_indices(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Refuse indices out of range: kernels do not check them, and a snapshot may come from a stranger."""
+        targets, maps, size = len(self.rules.sequence), self.rules.maps, self.memory.record.shape[1]
+        count, record = arrays["memory.count"], arrays["memory.record"]
+        written = np.concatenate([record[k, : min(max(count[k], 0), size)] for k in range(targets)])
+        checked = {
+            "fleet.target": (arrays["fleet.target"], targets),
+            "fleet.first_target": (arrays["fleet.first_target"], targets),
+            "fleet.map": (arrays["fleet.map"], maps),
+            "fleet.steps": (arrays["fleet.steps"], self.rules.horizon_steps),
+            "memory.count": (count, np.iinfo(np.int64).max),
+            "steps of memory.record": (written[:, -2], self.rules.horizon_steps + 1),
+            "maps of memory.record": (written[:, -1], maps),
+        }
+        for name, (values, end) in checked.items():
+            if not ((values >= 0) & (values < end)).all():
+                raise ValueError(f"snapshot of {name} is not within 0 and {end}")
 
     def _named_arrays(self) -> dict[str, NDArray[Any]]:
         groups: dict[str, Any] = {"fleet": self.fleet, "memory": self.memory}
