@@ -113,7 +113,7 @@ def evaluate(
     if unfinished:
         fail(f"{unfinished[0]} has no policy yet; finish it with: srlrace resume {unfinished[0]}")
         raise typer.Exit(2)
-    from srlrace.evaluate import evaluate_run
+    from srlrace.evaluation import evaluate_run
 
     setup_logging()
     for run in chosen:

@@ -36,15 +36,15 @@ def text(value: object, style: str = "") -> Text:
 
 
 def runs_table(runs: Sequence[RunFolder]) -> Table:
-    """One row a run: id, state, how far, what training last saw, what evaluations said."""
-    table = Table("run", "state", "trained", "finished", "crashed", "evaluated", box=None, pad_edge=False)
+    """One row a run: id, state, how far, and what evaluations said, or training while there is none."""
+    table = Table("run", "state", "trained", "result", box=None, pad_edge=False)
     for column in table.columns[:3]:
         column.no_wrap = True  # an id is there to be copied
     for run in runs:
         state, progress = run.state, run.progress
-        results = "; ".join(brief(suite, summary) for suite, summary in run.evaluations.items())
-        ratios = [_percent(progress.get(name)) for name in ("success_ratio", "crash_ratio")]
-        table.add_row(text(run.id), Text(state, STYLES.get(state, "")), _steps(run, progress), *ratios, text(results))
+        results = "\n".join(clean(brief(suite, summary))[:200] for suite, summary in run.evaluations.items())
+        result = Text(results) if results else _training(progress)
+        table.add_row(text(run.id), Text(state, STYLES.get(state, "")), _steps(run, progress), result)
     return table
 
 
@@ -55,8 +55,10 @@ def _steps(run: RunFolder, progress: dict[str, float]) -> Text:
     return Text(f"{steps / 1e6:.4g} M, {min(100, 100 * steps / total):.0f} %")
 
 
-def _percent(value: float | None) -> Text:
-    return Text("-" if value is None else f"{100 * value:.1f} %")
+def _training(progress: dict[str, float]) -> Text:
+    if "success_ratio" not in progress or "crash_ratio" not in progress:
+        return Text("-")
+    return Text(f"training: {100 * progress['success_ratio']:.0f} %, crash {100 * progress['crash_ratio']:.0f} %")
 
 
 def brief(suite: str, summary: dict[str, Any]) -> str:

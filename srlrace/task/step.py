@@ -82,10 +82,22 @@ def contain(fleet, rules, scratch, i):
 
 
 @inline
+def chord(fleet, scratch, i):
+    """Both ends of the step of drone ``i``: x, y, z before and after."""
+    state, before = fleet.state, scratch.previous
+    return before[0, i], before[1, i], before[2, i], state[0, i], state[1, i], state[2, i]
+
+
+@inline
+def waypoint(fleet, w, i):
+    """Position of waypoint ``w`` in the episode of drone ``i``."""
+    return fleet.waypoints[w, 0, i], fleet.waypoints[w, 1, i], fleet.waypoints[w, 2, i]
+
+
+@inline
 def step_clearance(fleet, rules, field, scratch, gap, i):
     """Return the smallest gap between the drone's hull and any obstacle surface during the step, m."""
-    x0, y0, z0 = scratch.previous[0, i], scratch.previous[1, i], scratch.previous[2, i]
-    x1, y1, z1 = fleet.state[0, i], fleet.state[1, i], fleet.state[2, i]
+    x0, y0, z0, x1, y1, z1 = chord(fleet, scratch, i)
     length = math.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2)
     if gap < SWEEP_WITHIN + length:
         gap = min(gap, swept_gap(x0, y0, z0, x1, y1, z1, fleet.map[i], *field))
@@ -121,18 +133,7 @@ def track_episode(fleet, scratch, clearance, rate, i):
 def try_passing(fleet, rules, scratch, i):
     """Advance the target if the step passes it; return the fraction of the step at which it did, or -1."""
     w = rules.sequence[fleet.target[i]]
-    fraction = pass_waypoint(
-        scratch.previous[0, i],
-        scratch.previous[1, i],
-        scratch.previous[2, i],
-        fleet.state[0, i],
-        fleet.state[1, i],
-        fleet.state[2, i],
-        fleet.waypoints[w, 0, i],
-        fleet.waypoints[w, 1, i],
-        fleet.waypoints[w, 2, i],
-        rules.passing_radius,
-    )
+    fraction = pass_waypoint(*chord(fleet, scratch, i), *waypoint(fleet, w, i), rules.passing_radius)
     if fraction >= 0.0:
         fleet.passing_time[fleet.target[i], i] = (fleet.steps[i] - 1 + fraction) * rules.dt
         fleet.target[i] += 1
@@ -143,17 +144,7 @@ def try_passing(fleet, rules, scratch, i):
 def target_progress(fleet, rules, scratch, target, i):
     """Metres gained towards ``target``, the one that was valid when the step began."""
     w = rules.sequence[target]
-    return progress(
-        scratch.previous[0, i],
-        scratch.previous[1, i],
-        scratch.previous[2, i],
-        fleet.state[0, i],
-        fleet.state[1, i],
-        fleet.state[2, i],
-        fleet.waypoints[w, 0, i],
-        fleet.waypoints[w, 1, i],
-        fleet.waypoints[w, 2, i],
-    )
+    return progress(*chord(fleet, scratch, i), *waypoint(fleet, w, i))
 
 
 @inline

@@ -211,13 +211,13 @@ def test_patches_apply_and_work(workplace: Path, tmp_path: Path) -> None:
 
 COMMANDS = {"cli", "sweep", "tables", "training", "completion", "console", "bench"}
 FORBIDDEN = {  # package or module: what it must not import when it is itself imported
-    "sim": {"world", "task", "learn", "evaluate", "recording", "report", "runs", "hydra_bridge"} | COMMANDS,
-    "world": {"task", "learn", "evaluate", "recording", "report", "runs", "hydra_bridge"} | COMMANDS,
-    "task": {"learn", "evaluate", "recording", "report", "runs", "hydra_bridge"} | COMMANDS,
-    "learn": {"evaluate", "recording", "report", "hydra_bridge"} | COMMANDS,
-    "recording": {"sim", "world", "task", "learn", "evaluate", "report", "runs", "hydra_bridge"} | COMMANDS,
-    "report": {"sim", "world", "task", "learn", "evaluate", "torch"} | COMMANDS,
-    "evaluate": COMMANDS,
+    "sim": {"world", "task", "learn", "evaluation", "recording", "report", "runs", "hydra_bridge"} | COMMANDS,
+    "world": {"task", "learn", "evaluation", "recording", "report", "runs", "hydra_bridge"} | COMMANDS,
+    "task": {"learn", "evaluation", "recording", "report", "runs", "hydra_bridge"} | COMMANDS,
+    "learn": {"evaluation", "recording", "report", "hydra_bridge"} | COMMANDS,
+    "recording": {"sim", "world", "task", "learn", "evaluation", "report", "runs", "hydra_bridge"} | COMMANDS,
+    "report": {"sim", "world", "task", "learn", "evaluation", "torch"} | COMMANDS,
+    "evaluation": COMMANDS,
 }
 
 

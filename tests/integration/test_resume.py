@@ -11,7 +11,7 @@ import time
 import pytest
 
 from srlrace.config import run_id
-from srlrace.evaluate import evaluate_run
+from srlrace.evaluation import evaluate_run
 from srlrace.hydra_bridge import compose
 from srlrace.learn.checkpoint import load_checkpoint
 from srlrace.learn.train import train

@@ -10,9 +10,9 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
-from srlrace import evaluate
 from srlrace.config import run_id, to_dict
-from srlrace.evaluate import EVALUATION_SEED, evaluate_run, make_suite
+from srlrace.evaluation import evaluate_run, flights, suites
+from srlrace.evaluation.suites import EVALUATION_SEED, make_suite
 from srlrace.files import FileError
 from srlrace.learn.policy import build_policy, save_policy
 from srlrace.recording import read_episodes, read_flight, read_metadata, read_states
@@ -41,7 +41,7 @@ def make_run(root, config) -> RunFolder:
 @pytest.fixture
 def piloted(monkeypatch, pilot):
     """Flown by the pilot instead of the policy, so that some flights finish."""
-    monkeypatch.setattr(evaluate, "act", lambda policy, observation: pilot(observation))
+    monkeypatch.setattr(flights, "act", lambda policy, observation: pilot(observation))
 
 
 def table(run, suite="train_map") -> pd.DataFrame:
@@ -58,9 +58,19 @@ def flown_forest(config, tmp_path_factory, pilot):
     settings = config("level=1", "level.tree_radius=0.1", "level.clear_radius=1.5")
     run = make_run(tmp_path_factory.mktemp("forest"), settings)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "act", lambda policy, observation: pilot(observation))
+        patch.setattr(flights, "act", lambda policy, observation: pilot(observation))
         summary = evaluate_run(run, N)
     return run, summary
+
+
+def test_nothing_is_written_through_a_link_out_of_the_folder(tmp_path, config):
+    run = make_run(tmp_path / "runs", config("level=none", "env.horizon=0.1"))
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (run.path / "eval").symlink_to(elsewhere)
+    with pytest.raises(RunError, match="link"):
+        evaluate_run(run, 3)
+    assert list(elsewhere.iterdir()) == []
 
 
 def test_episodes_table(flown_forest):
@@ -241,7 +251,7 @@ def test_lap_times(config, tmp_path):
 
 @pytest.mark.usefixtures("piloted")
 def test_unseen_levels(config, tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluate, "UNSEEN_MAPS", 3)
+    monkeypatch.setattr(suites, "UNSEEN_MAPS", 3)
     settings = config("level=mixed", "level.maps=2")
     run = make_run(tmp_path, settings)
     summary = evaluate_run(run, 30, "level1", "2")
