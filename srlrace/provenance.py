@@ -20,7 +20,7 @@ PACKAGES = ("numpy", "numba", "torch", "stable-baselines3", "gymnasium", "hydra-
 def provenance(argv: Sequence[str]) -> dict[str, Any]:
     """What ``run.json`` records about the origin of a run; imports none of the packages it names."""
     return {
-        "argv": list(argv),
+        "argv": without_runs_folder(argv),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
         "git": git_state(),
@@ -28,6 +28,12 @@ def provenance(argv: Sequence[str]) -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "platform": platform.platform(),
     }
+
+
+def without_runs_folder(argv: Sequence[str]) -> list[str]:
+    """The command line without ``--runs DIR``: where runs lie is no part of their origin, and of no concern to others."""
+    kept = [word for before, word in zip(["", *argv], argv, strict=False) if before != "--runs"]
+    return [word for word in kept if word != "--runs" and not word.startswith("--runs=")]
 
 
 def versions() -> dict[str, str]:

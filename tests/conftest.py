@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import functools
+import os
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
 from srlrace.config import Config
 from srlrace.hydra_bridge import compose
 from srlrace.task.race import Race, RaceMode
+
+# Random examples look for new failures while developing; CI repeats the same ones.
+hypothesis.settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):
+    hypothesis.settings.load_profile("ci")
 
 GRAVITY = 9.81  # m/s^2
 COLLECTIVE = 4 * 8.505 / 0.752  # m/s^2, all rotors at their limit (conf/quad/kingfisher.yaml)

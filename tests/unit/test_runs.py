@@ -210,5 +210,11 @@ def test_reading_is_limited_to_plain_small_files(tmp_path):
 def test_provenance_is_plain_json():
     record = json.loads(json.dumps(provenance(["srlrace", "train"])))
     assert record["argv"] == ["srlrace", "train"]
+    assert provenance(["srlrace", "train", "--runs", "/home/me/runs", "seed=1"])["argv"] == [
+        "srlrace",
+        "train",
+        "seed=1",
+    ]
+    assert provenance(["srlrace", "train", "seed=1", "--runs=/home/me"])["argv"] == ["srlrace", "train", "seed=1"]
     assert {"srlrace", "python", "torch", "numpy"} <= record["versions"].keys()
     assert record["cores"] >= 1
