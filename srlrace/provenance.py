@@ -31,7 +31,7 @@ def provenance(argv: Sequence[str]) -> dict[str, Any]:
 
 
 def without_runs_folder(argv: Sequence[str]) -> list[str]:
-    """The command line without ``--runs DIR``: where runs lie is no part of their origin, and of no concern to others."""
+    """The command line without ``--runs DIR``: where runs lie is no part of where they came from."""
     kept = [word for before, word in zip(["", *argv], argv, strict=False) if before != "--runs"]
     return [word for word in kept if word != "--runs" and not word.startswith("--runs=")]
 
