@@ -2,6 +2,7 @@
 # make test    run the tests
 # make lint    ruff and mypy
 # make bench   throughput on this machine
+# make reference         publish the finished runs: runs/* to runs/reference/*, without checkpoints and recordings
 # make pictures RUN=...   the README's picture, from a run that was evaluated with a recording
 # Both build the same virtual environment first. PYTHON and VENV may be set on the command line.
 
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum | cut -d' ' -f1)
 NODE_MODULES := tests/readers/node_modules
 
-.PHONY: demo test lint bench pictures readers clean
+.PHONY: demo test lint bench pictures reference readers clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -33,6 +34,13 @@ pictures: $(STAMP)
 	$(BIN)/srlrace report --out results
 	mkdir -p docs/images
 	cp results/figures/$(RUN)-train_map.png docs/images/forest.png
+
+reference:
+	@for policy in runs/*/policy.safetensors; do \
+		run=$$(dirname $$policy); target=runs/reference/$$(basename $$run); mkdir -p $$target; \
+		(cd $$run && cp --parents config.json run.json progress.csv policy.safetensors \
+			eval/*/episodes.csv eval/*/summary.json $(CURDIR)/$$target); \
+	done
 
 # The TypeScript MCAP reader, a test's independent witness; without npm that test is skipped.
 readers:
