@@ -1,0 +1,50 @@
+"""The published runs: the README's table comes from them, and their policies fly as their episodes say."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from srlrace.config import run_id
+from srlrace.evaluation import evaluate_run
+from srlrace.report.command import read_report
+from srlrace.runs import RunFolder, State, list_runs
+
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
+EPISODES = 100
+SAME = 0.95  # share of episodes with the published outcome: another kind of processor rounds otherwise
+
+
+def test_every_published_run_is_whole_and_named_by_its_content() -> None:
+    runs = list_runs(REFERENCE)
+    assert runs
+    for run in runs:
+        assert run.state is State.FINISHED
+        assert run_id(run.load_config()) == run.id
+        assert run.info["steps"] >= run.load_config().algo.total_steps
+        assert run.evaluations["train_map"]["episodes"] == 1000
+
+
+def test_the_readme_shows_what_they_say() -> None:
+    _, report = read_report(REFERENCE)
+    readme = (REFERENCE.parents[1] / "README.md").read_text()
+    table = next(table for table in report.tables if table.experiment.name == "minimum_time")
+    for cell in table.cells:
+        assert cell.numbers is not None
+        assert cell.numbers.time_s is not None
+        assert f"{cell.numbers.finished}/{cell.numbers.episodes}" in readme
+        assert f"{cell.numbers.time_s.value:.2f}" in readme
+
+
+@pytest.mark.parametrize("track", ["forest", "split_s"])
+def test_a_published_policy_flies_as_published(track: str, tmp_path: Path) -> None:
+    published = next(run for run in list_runs(REFERENCE) if run.id.startswith(f"{track}-srl-"))
+    copy = RunFolder(Path(shutil.copytree(published.path, tmp_path / published.id)))
+    evaluate_run(copy, EPISODES, record="none")
+    columns = ["outcome", "time_s", "gates_passed"]
+    ours, theirs = (pd.read_csv(r.path / "eval/train_map/episodes.csv")[:EPISODES][columns] for r in (copy, published))
+    assert (ours["outcome"] == theirs["outcome"]).mean() >= SAME
+    assert ours["time_s"].mean() == pytest.approx(theirs["time_s"].mean(), rel=0.02)
