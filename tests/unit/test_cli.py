@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from srlrace import cli, completion, hydra_bridge, training
+from srlrace import cli, completion, console, hydra_bridge, training
 from srlrace.catalogue import GROUPS, choices
 from srlrace.config import run_id, to_dict
 from srlrace.console import clean
@@ -34,6 +34,7 @@ def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("SRLRACE_RUNS", raising=False)
     monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(console.out, "width", 200)  # made before, where another test imported it
     return tmp_path
 
 
