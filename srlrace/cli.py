@@ -209,9 +209,9 @@ def check_record(value: str) -> str:
 
 def check_suites(names: list[str]) -> list[str]:
     """Check ``--suite``; raises `ConfigError`."""
-    from srlrace.completion import SUITES
     from srlrace.parse import ConfigError, nearest
     from srlrace.parse import show as quoted
+    from srlrace.schema import SUITES
 
     for name in names:
         if name not in SUITES:

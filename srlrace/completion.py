@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import wraps
 
-SUITES = ("train_map", "level1", "level2", "level3")
+from srlrace.schema import SUITES
+
 COMPLETE = "_SRLRACE_COMPLETE"  # Typer's variable: set while a shell asks
 
 Completer = Callable[[str], list[str]]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -24,6 +23,7 @@ from srlrace.config import Config, ConfigError, parse_config, run_id
 from srlrace.console import say
 from srlrace.overrides import Request, check_arguments
 from srlrace.runs import RunFolder, State, runs_root
+from srlrace.signals import handling
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -187,10 +187,5 @@ def _terminable() -> Iterator[None]:
         say("stopped; the same command continues")
         raise SystemExit(128 + signum)
 
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    previous = {number: signal.signal(number, leave) for number in numbers}
-    try:
+    with handling(leave):
         yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

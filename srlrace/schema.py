@@ -13,6 +13,8 @@ from typing import Any
 
 Vec3 = tuple[float, float, float]
 
+SUITES = ("train_map", "level1", "level2", "level3")  # what a policy can be evaluated on
+
 FAR = 10_000.0  # m: no coordinate beyond this; metres stay exact to 1 mm in single precision
 
 

@@ -6,7 +6,6 @@ trained once, and repeating a sweep continues it. Each run is trained and evalua
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from srlrace.hydra_bridge import compose
 from srlrace.parse import nearest, show
 from srlrace.report.experiments import Experiment, load_experiment
 from srlrace.runs import RunFolder, State
+from srlrace.signals import handling
 
 PROGRAM = (sys.executable, "-m", "srlrace")
 POLL = 0.2  # s between looks at the processes
@@ -205,13 +205,8 @@ class Crew:
                 if worker.process.poll() is None:
                     worker.process.send_signal(signum)
 
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        previous = {number: signal.signal(number, forward) for number in numbers}
-        try:
+        with handling(forward):
             yield
-        finally:
-            for number, handler in previous.items():
-                signal.signal(number, handler)
 
     def _display(self) -> Progress:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),

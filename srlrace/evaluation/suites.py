@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 from srlrace.config import Config, LevelConfig
 from srlrace.runs import RunError
+from srlrace.schema import SUITES
 from srlrace.world.field import ObstacleField
 from srlrace.world.flyable import unseen_maps
 
 EVALUATION_SEED = 20_240_401  # first word of every evaluation stream; ours, arbitrary, never a training seed
 UNSEEN_MAPS = 100  # per level
-SUITES = ("train_map", "level1", "level2", "level3")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from srlrace.signals import handling
 
 
 class Interrupted(Exception):
@@ -33,11 +33,7 @@ class StopRequest:
 
 @contextmanager
 def stop_request() -> Iterator[StopRequest]:
-    """Catch `SIGNALS` for the duration of the block."""
+    """Catch `srlrace.signals.SIGNALS` for the duration of the block."""
     request = StopRequest()
-    previous = {number: signal.signal(number, request._handle) for number in SIGNALS}
-    try:
+    with handling(request._handle):
         yield request
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

@@ -11,9 +11,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from srlrace.files import read_limited
-from srlrace.report.experiments import SUITES
 from srlrace.runs import RunError, RunFolder, State, list_runs
-from srlrace.schema import AlgoConfig, Config
+from srlrace.schema import SUITES, AlgoConfig, Config
 
 EPISODES_LIMIT = 64_000_000  # bytes: half a million episodes; more than this is not an evaluation
 CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts

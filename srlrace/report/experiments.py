@@ -8,7 +8,8 @@ from typing import Any
 
 import yaml
 
-SUITES = ("train_map", "level1", "level2", "level3")
+from srlrace.schema import SUITES
+
 QUANTITIES = ("time", "crash")
 
 

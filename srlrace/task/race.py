@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from srlrace.config import Config
 from srlrace.sim.airframe import Airframe
-from srlrace.task.arrays import LEDGER, OUTCOMES, TALLY, Fleet, Floats, Memory, Output, Rules, Scratch
+from srlrace.task.arrays import LEDGER, TALLY, Fleet, Floats, Memory, Output, Rules, Scratch
 from srlrace.task.observation import block_codes, observation_size
 from srlrace.task.random import make_streams
 from srlrace.task.reset import record_size
@@ -242,8 +242,3 @@ class Race:
         groups: dict[str, Any] = {"fleet": self.fleet, "memory": self.memory}
         arrays = {f"{g}.{name}": array for g, group in groups.items() for name, array in group._asdict().items()}
         return {**arrays, "output.observation": self.output.observation, "output.ledger": self.output.ledger}
-
-
-def outcome_name(code: int) -> str:
-    """Return the name of an outcome code."""
-    return OUTCOMES[code]
