@@ -11,15 +11,16 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum | cut -d' ' -f1)
 NODE_MODULES := tests/readers/node_modules
+AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench pictures reference readers clean
+.PHONY: demo test lint bench pictures reference readers browser-tools clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
 	$(BIN)/srlrace eval --episodes 1000
 	$(BIN)/srlrace report
 
-test: $(STAMP) readers
+test: $(STAMP) readers browser-tools
 	$(BIN)/python -m pytest
 
 lint: $(STAMP)
@@ -48,6 +49,16 @@ readers:
 		test -d $(NODE_MODULES) || npm ci --silent --no-audit --no-fund --prefix tests/readers; \
 	else echo "npm not found: the TypeScript reader's tests will be skipped"; fi
 
+# Chromium opens the pages that srlrace writes, axe-core checks their accessibility; without them those tests are skipped.
+browser-tools:
+	@if ! command -v chromium >/dev/null && command -v apt-get >/dev/null && test "$$(id -u)" = 0; then \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium \
+			>/dev/null; fi || true
+	@command -v chromium >/dev/null || echo "chromium not found: the tests of HTML pages will be skipped"
+	@if command -v npm >/dev/null; then \
+		test -d $(AXE) || npm ci --silent --no-audit --no-fund --prefix tests/browser; \
+	else echo "npm not found: the accessibility of HTML pages will not be tested"; fi
+
 $(STAMP):
 	@$(PYTHON) -c 'import sys; sys.exit("srlrace needs Python 3.11 or newer") if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv $(VENV)
@@ -57,4 +68,4 @@ $(STAMP):
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(NODE_MODULES) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(NODE_MODULES) $(AXE) .pytest_cache .mypy_cache .ruff_cache .hypothesis
