@@ -23,7 +23,7 @@ from numba.core import config as numba_config
 
 # Reordering and contraction only: no "nnan" or "ninf", so that tests for NaN and infinity keep their meaning.
 FASTMATH = frozenset({"contract", "nsz", "arcp", "reassoc", "afn"})
-LAYERS = ("sim", "world", "task")  # packages with kernels; each calls only itself and those before it
+LAYERS = ("sim", "world", "task", "learn")  # packages with kernels; each calls only itself and those before it
 
 
 def source_digest(root: Path, layers: tuple[str, ...]) -> str:
