@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 from rich.console import Console
 
 from srlrace.confdir import conf_dir
 from srlrace.files import atomic_write
-from srlrace.hydra_bridge import compose
 from srlrace.report.collect import Run, collect
 from srlrace.report.csv_tables import render_csv
 from srlrace.report.experiments import ExperimentError, load_experiments, load_paper
 from srlrace.report.latex import latex_table, render_latex
 from srlrace.report.markdown import markdown_table, render_markdown
 from srlrace.report.model import Report, Table
+from srlrace.report.presets import row_config
 from srlrace.report.tables import build_report
 from srlrace.report.terminal import print_report
-from srlrace.schema import Config
 
 FILES: dict[str, Callable[[Table], str]] = {"md": markdown_table, "csv": render_csv, "tex": latex_table}
 FORMATS = ("rich", *FILES)
@@ -46,14 +44,9 @@ def read_report(root: Path) -> tuple[tuple[Run, ...], Report]:
     folder = conf_dir()
     runs, problems = collect(root)
     built = build_report(
-        runs, load_experiments(folder / "experiment"), load_paper(folder / "paper.yaml"), _compose, problems
+        runs, load_experiments(folder / "experiment"), load_paper(folder / "paper.yaml"), row_config, problems
     )
     return runs, built
-
-
-@cache
-def _compose(overrides: tuple[str, ...]) -> Config:
-    return compose(list(overrides))
 
 
 def _show(built: Report, format: str, console: Console) -> None:
