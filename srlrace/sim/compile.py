@@ -10,9 +10,12 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,7 @@ from numba.core import config as numba_config
 # Reordering and contraction only: no "nnan" or "ninf", so that tests for NaN and infinity keep their meaning.
 FASTMATH = frozenset({"contract", "nsz", "arcp", "reassoc", "afn"})
 LAYERS = ("sim", "world", "task", "learn")  # packages with kernels; each calls only itself and those before it
+KEPT = 8  # cache folders of a layer, some megabytes each: ours, room for checkouts and versions used side by side
 
 
 def source_digest(root: Path, layers: tuple[str, ...]) -> str:
@@ -54,6 +58,17 @@ def private_folder(path: Path) -> bool:
     return ours and not status.st_mode & 0o022 and os.access(path, os.W_OK | os.X_OK)
 
 
+def keep_newest(path: Path) -> None:
+    """Note that the cache folder `path` is in use, and remove those of its layer that were not for longest."""
+    name = re.compile(re.escape(path.name.rpartition("-")[0]) + "-[0-9a-f]{16}")
+    with suppress(OSError):  # another process may be doing the same
+        os.utime(path)
+        with os.scandir(path.parent) as entries:
+            found = [entry for entry in entries if name.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False)]
+        for old in sorted(found, key=lambda entry: entry.stat().st_mtime_ns, reverse=True)[KEPT:]:
+            shutil.rmtree(old, ignore_errors=True)
+
+
 @functools.cache
 def cache_folder(layer: str) -> str:
     """Content-addressed folder for the kernels of `layer`; a fresh temporary one where ours is not usable."""
@@ -62,7 +77,10 @@ def cache_folder(layer: str) -> str:
         path = user_cache_folder() / f"kernels-{below[-1]}-{source_digest(Path(__file__).parents[1], below)}"
     except RuntimeError:  # no home directory
         return tempfile.mkdtemp(prefix="srlrace-kernels-")
-    return str(path) if private_folder(path) else tempfile.mkdtemp(prefix="srlrace-kernels-")
+    if not private_folder(path):
+        return tempfile.mkdtemp(prefix="srlrace-kernels-")
+    keep_newest(path)
+    return str(path)
 
 
 def _compile(function: Callable[..., Any], **options: Any) -> Any:

@@ -73,3 +73,17 @@ def test_advance_works_inside_another_kernel(airframe: Airframe) -> None:
     for _ in range(2):
         advance(expected, command, plant, airframe.pack(np.float64), 0.02, 8)
     np.testing.assert_array_equal(state, expected)
+
+
+def test_kernels_of_sources_long_gone_are_removed(tmp_path: Path) -> None:
+    folders = [tmp_path / f"kernels-task-{number:016x}" for number in range(subject.KEPT + 3)]
+    others = [tmp_path / name for name in ("kernels-sim-0123456789abcdef", "kernels-task-mine", "elsewhere")]
+    for age, folder in enumerate([*others, *folders]):
+        folder.mkdir()
+        (folder / "kernel.nbi").touch()
+        os.utime(folder, (age, age))
+    (tmp_path / "kernels-task-fedcba9876543210").symlink_to(others[2])
+    subject.keep_newest(folders[0])  # in use again: now the newest
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {path.name for path in (*others, folders[0], *folders[4:])} | {"kernels-task-fedcba9876543210"}
+    assert (others[2] / "kernel.nbi").exists()
