@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 from srlrace.signals import handling
+
+ONE_REQUEST = 1.0  # s: a scheduler signals each process of a job, and its parent passes the same on
 
 
 class Interrupted(Exception):
@@ -24,11 +27,13 @@ class StopRequest:
     """Which signal has asked to stop, if any."""
 
     signum: int | None = None
+    _since = 0.0  # s, when it asked
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
-        if self.signum is not None:
+        if self.signum is None:
+            self.signum, self._since = signum, time.monotonic()
+        elif time.monotonic() - self._since > ONE_REQUEST:
             os._exit(128 + signum)  # files are written atomically: leaving here breaks nothing
-        self.signum = signum
 
 
 @contextmanager
