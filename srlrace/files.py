@@ -2,34 +2,64 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import re
 import secrets
 import stat
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 JSON_LIMIT = 4 * 2**20  # bytes: a config with ten thousand obstacles is 1 MiB
+LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.tmp")  # what a kill in the midst of `atomic_write` leaves
+SEAL = "seal"  # key of a JSON file's checksum over all the rest of it
 
 
 class FileError(ValueError):
     """A file that is missing, too large, malformed, or not a plain file; the message names it."""
 
 
-def atomic_write(path: Path, content: bytes | str) -> None:
-    """Replace a file so that a reader, or a crash, sees the old content or the new and nothing between."""
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an `OSError` of the block name ``path``: a full disk says no name, a temporary file's says little."""
+    try:
+        yield
+    except OSError as error:
+        error.filename, error.filename2 = os.fspath(path), None
+        raise
+
+
+def atomic_write(path: Path, content: bytes | str, durable: bool = True) -> None:
+    """Replace a file so that a reader, or a crash, sees the old content or the new and nothing between.
+
+    Not ``durable``: a power cut may still bring back the old content, until the folder is next synced.
+    """
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
-    try:
-        with temporary.open("xb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
+    with naming(path):
+        try:
+            with temporary.open("xb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        if durable:
+            sync_folder(path.parent)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what killed processes left of their writing; the caller holds the lock of ``folder``."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if LEFTOVER.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                Path(entry.path).unlink(missing_ok=True)
 
 
 def sync_folder(folder: Path) -> None:
@@ -59,8 +89,20 @@ def read_limited(path: Path, limit: int = JSON_LIMIT) -> bytes:
     return data
 
 
+def write_sealed(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a JSON object together with its checksum; returns what was written."""
+    content = {key: value for key, value in data.items() if key != SEAL}
+    content[SEAL] = _digest(content)
+    atomic_write(path, json.dumps(content, indent=1) + "\n")
+    return content
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
 def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
-    """Read a JSON object; NaN, infinities, other top-level values and bottomless nesting are refused."""
+    """Read a JSON object; NaN, infinities, bottomless nesting, other values and broken seals are refused."""
     try:
         data = json.loads(read_limited(path, limit).decode(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -70,6 +112,8 @@ def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
         raise FileError(f"cannot read {path}: not valid JSON ({reason})") from None
     if not isinstance(data, dict):
         raise FileError(f"cannot read {path}: not a JSON object")
+    if SEAL in data and data[SEAL] != _digest({key: value for key, value in data.items() if key != SEAL}):
+        raise FileError(f"cannot read {path}: the checksum does not match, the file is damaged")
     return data
 
 

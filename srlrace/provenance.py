@@ -6,7 +6,7 @@ import hashlib
 import os
 import platform
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -45,6 +45,21 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = ""
     return found
+
+
+def circumstances(threads: int) -> dict[str, Any]:
+    """What the last bits of a result depend on, beside its settings and seed; ``threads`` are torch's."""
+    return {"threads": threads, "cpu": cpu_name(), "versions": versions()}
+
+
+def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    """What `circumstances` say that earlier ones, where they are known, did not."""
+    for name, value in now.items():
+        earlier = before.get(name, value)
+        if isinstance(value, dict) and isinstance(earlier, dict):
+            yield from changes(earlier, value)
+        elif earlier != value:
+            yield f"{name} was {earlier!r:.60}, now {value!r:.60}"
 
 
 def git_state() -> dict[str, str] | None:

@@ -9,35 +9,29 @@ from __future__ import annotations
 
 import csv
 import difflib
-import fcntl
-import json
+import hashlib
 import os
-import socket
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from srlrace.config import Config, ConfigError, load_config
-from srlrace.files import FileError, atomic_write, read_json, read_limited
+from srlrace.config import Config, ConfigError, load_config, run_id
+from srlrace.files import FileError, atomic_write, read_json, read_limited, remove_leftovers
+from srlrace.locks import RunError, hold, holder
 from srlrace.parse import NAME
 from srlrace.provenance import provenance, versions
 
 __all__ = ["RunError", "RunFolder", "State", "atomic_write", "find", "latest_finished", "list_runs", "provenance",
            "runs_root", "versions"]  # fmt: skip
 
-LOCK_PATIENCE = 0.5  # s: a lister holds a shared lock for microseconds; whoever holds it longer is training
 TAIL = 64 * 2**10  # bytes of progress.csv that are read to find its last row
-LOCK_LIMIT = 4096  # bytes
-
-
-class RunError(ValueError):
-    """A run that cannot be found, read or written; the message is one line for a person."""
+EPISODES_LIMIT = 128 * 2**20  # bytes of episodes.csv: a million episodes
+DIGEST = "config_sha256"  # key in run.json: checksum of config.json
+TABLE_DIGEST = "episodes_sha256"  # key in summary.json: checksum of episodes.csv
 
 
 class State(StrEnum):
@@ -82,10 +76,15 @@ class RunFolder:
 
     def load_config(self) -> Config:
         """The stored configuration; raises `RunError` saying what is wrong with it."""
+        path, info = self.file("config.json"), self.info
         try:
-            return load_config(self.file("config.json"))
-        except ConfigError as error:
+            config = load_config(path)
+            damaged = DIGEST in info and info[DIGEST] != hashlib.sha256(read_limited(path)).hexdigest()
+        except (ConfigError, FileError) as error:
             raise RunError(str(error)) from None
+        if damaged or (DIGEST not in info and info.get("run") == self.id != run_id(config)):
+            raise RunError(f"{path}: not the settings that run.json tells of; the file is damaged or was edited")
+        return config
 
     @property
     def info(self) -> dict[str, Any]:
@@ -94,11 +93,25 @@ class RunFolder:
 
     @property
     def evaluations(self) -> dict[str, dict[str, Any]]:
-        """The summary of each evaluated suite, by suite; broken ones are left out."""
+        """The summary of each evaluated suite, by suite; broken ones, and those of another table, are left out."""
         folder = self.path / "eval"
         suites = sorted(entry.name for entry in _entries(folder) if NAME.fullmatch(entry.name))
         summaries = {suite: self._json("eval", suite, "summary.json") for suite in suites}
-        return {suite: summary for suite, summary in summaries.items() if summary}
+        return {suite: summary for suite, summary in summaries.items() if summary and self._belong(suite, summary)}
+
+    def _belong(self, suite: str, summary: dict[str, Any]) -> bool:
+        try:
+            return TABLE_DIGEST not in summary or bool(self.episodes(suite))
+        except (RunError, FileError):
+            return False
+
+    def episodes(self, suite: str) -> bytes:
+        """``episodes.csv`` of a suite; raises `RunError` or `FileError` where it is not what was written."""
+        path = self.file("eval", suite, "episodes.csv")
+        table, summary = read_limited(path, EPISODES_LIMIT), self._json("eval", suite, "summary.json")
+        if TABLE_DIGEST in summary and summary[TABLE_DIGEST] != hashlib.sha256(table).hexdigest():
+            raise RunError(f"{path}: damaged, or its evaluation was interrupted; repeat: srlrace eval --suite {suite}")
+        return table
 
     @property
     def progress(self) -> dict[str, float]:
@@ -131,52 +144,23 @@ class RunFolder:
             return {}
 
     def holder(self) -> str | None:
-        """Who holds the lock (pid, host, since), or None when nobody does."""
+        """Who is training this run (pid, host, since), or None when nobody does."""
         try:
-            descriptor = os.open(self.file("lock"), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-        except (OSError, RunError):
+            return holder(self.file("lock"))
+        except RunError:
             return None
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return self._holder_text()
-        finally:
-            os.close(descriptor)
-        return None
-
-    def _holder_text(self) -> str:
-        try:
-            data = json.loads(read_limited(self.path / "lock", LOCK_LIMIT))
-            return f"process {int(data['pid'])} on {str(data['host'])[:64]!r} since {str(data['since'])[:32]}"
-        except (ValueError, TypeError, KeyError):
-            return "another process"
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the run for writing; raises `RunError` saying who holds it already. Creates the folder."""
+        """Hold the run for training; raises `RunError` saying who holds it already. Creates the folder."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self.file("lock"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise RunError(f"{self.path}: cannot write there ({error.strerror})") from None
-        try:
-            self._acquire(descriptor)
-            who = {"pid": os.getpid(), "host": socket.gethostname(), "since": _now()}
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, json.dumps(who).encode(), 0)
+        with hold(self.file("lock"), self.id):
+            for folder in (self.path, self.path / "checkpoint"):
+                remove_leftovers(folder)
             yield
-        finally:
-            os.close(descriptor)
-
-    def _acquire(self, descriptor: int) -> None:
-        give_up = time.monotonic() + LOCK_PATIENCE
-        while True:
-            try:
-                return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() > give_up:
-                    raise RunError(f"{self.id} is held by {self._holder_text()}; wait for it or stop it") from None
-                time.sleep(0.01)
 
 
 def runs_root(option: Path | str | None = None) -> Path:
@@ -230,7 +214,3 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")

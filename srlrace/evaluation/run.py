@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +14,12 @@ from srlrace.config import to_dict
 from srlrace.evaluation.episodes import episode_rows, rows_csv, summarise
 from srlrace.evaluation.flights import fly
 from srlrace.evaluation.suites import EVALUATION_SEED, Suite, make_suite
-from srlrace.files import atomic_write
+from srlrace.files import atomic_write, naming, remove_leftovers, write_sealed
 from srlrace.learn.policy import load_policy
+from srlrace.locks import hold
 from srlrace.provenance import versions
 from srlrace.recording import Flight, RecordingWriter
-from srlrace.runs import RunError, RunFolder
+from srlrace.runs import TABLE_DIGEST, RunError, RunFolder
 from srlrace.task.reward import TERMS
 
 
@@ -35,14 +37,17 @@ def write_recording(path: Path, run: RunFolder, suite: Suite, flights: Iterator[
     metadata = {"run": run.id, "suite": suite.name, "evaluation_seed": str(EVALUATION_SEED), **versions()}
     config_json = json.dumps(to_dict(suite.config), indent=1).encode()
     track = suite.config.env
-    with RecordingWriter(
-        path,
-        metadata=metadata,
-        reward_terms=TERMS,
-        horizon=track.horizon,
-        config_json=config_json,
-        passing_radius=track.passing_radius,
-    ) as writer:
+    with (
+        naming(path),
+        RecordingWriter(
+            path,
+            metadata=metadata,
+            reward_terms=TERMS,
+            horizon=track.horizon,
+            config_json=config_json,
+            passing_radius=track.passing_radius,
+        ) as writer,
+    ):
         for flight in flights:
             writer.write(flight)
         writer.finish(episodes_csv)
@@ -51,7 +56,8 @@ def write_recording(path: Path, run: RunFolder, suite: Suite, flights: Iterator[
 def evaluate_run(run: RunFolder, episodes: int, suite: str = "train_map", record: str = "all") -> dict[str, Any]:
     """Evaluate a run's policy and write ``eval/<suite>/``; return the summary.
 
-    Raises `RunError` for a bad request and `srlrace.files.FileError` for a policy that cannot be used.
+    Raises `RunError` for a bad request or while another process is at it, and `srlrace.files.FileError` for a policy
+    that cannot be used.
     """
     if episodes < 1:
         raise RunError(f"episodes: got {episodes}, takes a whole number of at least 1")
@@ -60,17 +66,19 @@ def evaluate_run(run: RunFolder, episodes: int, suite: str = "train_map", record
     torch.set_num_threads(config.algo.threads)
     policy = load_policy(config, run.path / "policy.safetensors")
     prepared = make_suite(config, suite)
-    race, history = fly(policy, prepared, episodes, recorded)
-    rows = episode_rows(prepared, race)
     folder = run.file("eval", suite)
     folder.mkdir(parents=True, exist_ok=True)
-    table = rows_csv(rows)
-    recording = folder / "trajectories.mcap"
-    if history:
-        write_recording(recording, run, prepared, history.flights(prepared, race, rows), table)
-    else:
-        recording.unlink(missing_ok=True)  # it would show another evaluation's flights
-    summary = summarise(run.id, prepared, rows)
-    atomic_write(folder / "episodes.csv", table)
-    atomic_write(folder / "summary.json", json.dumps(summary, indent=1) + "\n")
-    return summary
+    with hold(run.file("eval", f".{suite}.lock"), f"the evaluation of {run.id} on {suite}"):
+        remove_leftovers(folder)
+        race, history = fly(policy, prepared, episodes, recorded)
+        rows = episode_rows(prepared, race)
+        table = rows_csv(rows)
+        recording = run.file("eval", suite, "trajectories.mcap")
+        if history:
+            write_recording(recording, run, prepared, history.flights(prepared, race, rows), table)
+        else:
+            recording.unlink(missing_ok=True)  # it would show another evaluation's flights
+        atomic_write(folder / "episodes.csv", table)
+        # Last, since the others count only with a summary that carries their checksum.
+        seal = {TABLE_DIGEST: hashlib.sha256(table).hexdigest()}
+        return write_sealed(folder / "summary.json", summarise(run.id, prepared, rows) | seal)

@@ -1,14 +1,13 @@
 """Checkpoints: the complete state of a training, written so that a kill at any moment loses nothing.
 
 Each generation is two files, ``<steps>.safetensors`` and ``<steps>.json``. The JSON file is written last
-and carries the SHA-256 of the other: a generation counts only when both agree. The two newest
+and carries the SHA-256 of the other and of itself: a generation counts only when both agree. The two newest
 generations are kept, so a file that was damaged later still leaves the one before it.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from srlrace.files import FileError, atomic_write, read_json, read_limited
+from srlrace.files import FileError, atomic_write, naming, read_json, read_limited, write_sealed
 from srlrace.learn.tensors import MAX_BYTES, TensorFileError, pack, unpack
 
 logger = logging.getLogger(__name__)
@@ -38,13 +37,14 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     folder.mkdir(exist_ok=True)
     data = pack(checkpoint.arrays, {})
     stem = f"{checkpoint.steps:015d}"
-    atomic_write(folder / f"{stem}.safetensors", data)
-    seal = {"steps": checkpoint.steps, "sha256": hashlib.sha256(data).hexdigest(), "facts": checkpoint.facts}
-    atomic_write(folder / f"{stem}.json", json.dumps(seal))
+    atomic_write(folder / f"{stem}.safetensors", data, durable=False)  # the seal's sync of the folder serves both
+    facts = {"steps": checkpoint.steps, "sha256": hashlib.sha256(data).hexdigest(), "facts": checkpoint.facts}
+    write_sealed(folder / f"{stem}.json", facts)
     keep = {path.stem for path in sorted(folder.glob("*.json"))[-KEPT:]}
-    for path in folder.iterdir():
-        if path.suffix in {".json", ".safetensors"} and path.stem not in keep:
-            path.unlink(missing_ok=True)
+    with naming(folder):
+        for path in folder.iterdir():
+            if path.suffix in {".json", ".safetensors"} and path.stem not in keep:
+                path.unlink(missing_ok=True)
 
 
 def load_generation(seal_path: Path) -> Checkpoint:

@@ -6,6 +6,7 @@ a stranger's policy executes nothing. SB3's own ``load`` functions unpickle and 
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,7 +23,8 @@ from srlrace.task.observation import observation_size
 from srlrace.task.vec_env import action_space, observation_space
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh, "elu": nn.ELU}
-FORMAT = "srlrace-policy-1"
+FORMAT = "srlrace-policy-2"  # followed by a checksum of the weights
+UNSEALED = "srlrace-policy-1"  # of earlier versions: without the checksum
 
 
 def policy_arguments(algo: AlgoConfig) -> dict[str, Any]:
@@ -62,14 +64,23 @@ def load_state(module: nn.Module, arrays: dict[str, NDArray[Any]], source: str) 
 
 def save_policy(policy: ActorCriticPolicy, path: Path) -> None:
     """Write the policy's weights atomically."""
-    atomic_write(path, pack(state_arrays(policy), {"format": FORMAT}))
+    arrays = state_arrays(policy)
+    atomic_write(path, pack(arrays, {"format": f"{FORMAT} {_digest(arrays)}"}))  # one entry: their order is not fixed
+
+
+def _digest(arrays: dict[str, NDArray[Any]]) -> str:
+    """SHA-256 over names and values."""
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(name.encode() + b"\0" + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def load_policy(config: Config, path: Path) -> ActorCriticPolicy:
     """Rebuild the policy of ``config`` from its file; `TensorFileError` says why it cannot."""
     arrays, metadata = read_arrays(path)
-    if metadata.get("format") != FORMAT:
-        raise TensorFileError(f"{path}: not a {FORMAT} file")
+    if metadata.get("format") not in (UNSEALED, f"{FORMAT} {_digest(arrays)}"):
+        raise TensorFileError(f"{path}: not a {FORMAT} file, or damaged: its checksum does not match")
     policy = build_policy(config)
     load_state(policy, arrays, str(path))
     policy.set_training_mode(False)

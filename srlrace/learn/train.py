@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from srlrace.config import Config, run_id, to_dict
-from srlrace.files import atomic_write, read_json
+from srlrace.config import Config, ConfigError, load_config, run_id, to_dict
+from srlrace.files import atomic_write, naming, read_limited, write_sealed
 from srlrace.learn.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from srlrace.learn.finite import Diverged, check_rollout, check_update
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.policy import save_policy
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.progress import LEARNER, Display, ProgressFile, outcome_ratios, write_scalars
-from srlrace.provenance import provenance
-from srlrace.runs import RunError, RunFolder
+from srlrace.provenance import changes, circumstances, provenance
+from srlrace.runs import DIGEST, RunFolder
 from srlrace.task.reward import TERMS
 from srlrace.task.vec_env import RaceVecEnv
+
+__all__ = ["Diverged", "Interrupted", "Training", "train"]
 
 logger = logging.getLogger(__name__)
 
@@ -33,36 +38,16 @@ SAVE_EVERY = 5.0  # s of wall-clock between checkpoints; results do not depend o
 ROWS = 2000  # rows of progress.csv a training is spread over, at most
 
 
-class Diverged(RunError):
-    """The training met a value that is not finite; the last checkpoint is from before it."""
-
-
-def check_rollout(model: PPO) -> None:
-    """Raise `Diverged` when what a rollout collected is not finite, before anything is learned from it."""
-    buffer = model.rollout_buffer
-    arrays = {"observation": buffer.observations, "reward": buffer.rewards, "action": buffer.actions}
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise Diverged(f"{name} is not finite in the rollout that ended at step {model.num_timesteps}")
-
-
-def check_update(model: PPO) -> None:
-    """Raise `Diverged` when losses or weights are not finite."""
-    loss = model.logger.name_to_value.get("train/loss", 0.0)
-    weights = torch.cat([p.detach().flatten() for p in model.policy.parameters()])
-    if not np.isfinite(loss) or not bool(torch.isfinite(weights).all()):
-        raise Diverged(f"loss or weights are not finite after the update at step {model.num_timesteps}")
-
-
 class RolloutBoundary(BaseCallback):
     """Between two rollouts: check, report, checkpoint, stop if asked, and move the curriculum on."""
 
-    def __init__(self, training: Training) -> None:
+    def __init__(self, training: Training, request: StopRequest) -> None:
         super().__init__()
-        self._training = training
+        self._training, self._request = training, request
 
     def _on_rollout_start(self) -> None:
-        self._training.between_rollouts()
+        with self._request.deferred():
+            self._training.between_rollouts()
 
     def _on_rollout_end(self) -> None:
         check_rollout(self._training.model)
@@ -81,18 +66,25 @@ class Training:
         self._display, self._request = display, request
         self.env = RaceVecEnv(config)
         self.model = build_ppo(config, self.env)
-        checkpoint = load_checkpoint(folder.path / "checkpoint")
+        self._circumstances = circumstances(torch.get_num_threads())
+        checkpoint = load_checkpoint(folder.file("checkpoint"))
         facts = checkpoint.facts if checkpoint else {}
         if checkpoint is not None:
             reinstate(self.model, self.env, checkpoint.arrays)
             logger.info("%s resumes at step %d", folder.id, checkpoint.steps)
+            for change in changes(facts, self._circumstances):
+                logger.warning("%s: the result will not be that of an undisturbed run to the last bit", change)
         self._spent = float(facts.get("wall_s", 0.0))
-        self._file = ProgressFile(folder.path / "progress.csv", int(facts.get("progress_bytes", 0)))
-        self._board = SummaryWriter(str(folder.path), purge_step=self.model.num_timesteps)
+        progress = folder.file("progress.csv")
+        with naming(progress):
+            self._file = ProgressFile(progress, int(facts.get("progress_bytes", 0)))
+        with naming(folder.path):
+            self._board = SummaryWriter(str(folder.path), purge_step=self.model.num_timesteps)
         self._began = self._saved = time.monotonic()
         self._seen_steps = self.model.num_timesteps
         self._row_steps = int(facts.get("row_steps", 0))
         self._row_wall = float(facts.get("row_wall_s", 0.0))
+        self._newest: Checkpoint | None = None  # complete, and not on disk yet
 
     @property
     def wall(self) -> float:
@@ -100,29 +92,33 @@ class Training:
         return self._spent + time.monotonic() - self._began
 
     def run(self) -> None:
-        """Train to the end of the budget and write the policy."""
+        """Train to the end of the budget and write the policy; a signal leaves with the newest state saved."""
         remaining = self.config.algo.total_steps - self.model.num_timesteps
         if remaining > 0:
             never: Any = None  # SB3 takes it, its annotation does not
-            self.model.learn(remaining, RolloutBoundary(self), log_interval=never, reset_num_timesteps=False)
+            boundary = RolloutBoundary(self, self._request)
+            try:
+                self.model.learn(remaining, boundary, log_interval=never, reset_num_timesteps=False)
+            except Interrupted:
+                self._save()
+                raise
+        with self._request.deferred(check=False):
             self.between_rollouts(final=True)
-        save_policy(self.model.policy, self.folder.path / "policy.safetensors")
+            finished = {"steps": self.model.num_timesteps, "train_wall_s": round(self.wall, 3)}
+            write_sealed(self.folder.path / "run.json", self.folder.info | finished)
+            save_policy(self.model.policy, self.folder.path / "policy.safetensors")  # last: it says that all is done
 
     def between_rollouts(self, final: bool = False) -> None:
         """Everything that happens when one rollout has been learned from and the next has not begun."""
         steps = self.model.num_timesteps
-        fresh = steps > self._seen_steps
-        if fresh:
+        if steps > self._seen_steps:
             check_update(self.model)
             self._seen_steps = steps
             self._report(final)
+            self._newest = Checkpoint(steps, capture(self.model, self.env), {})
+            if final or time.monotonic() - self._saved >= SAVE_EVERY:
+                self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)
-        stopping = self._request.signum is not None
-        if fresh and (final or stopping or time.monotonic() - self._saved >= SAVE_EVERY):
-            self._save()
-        if stopping and not final:
-            assert self._request.signum is not None
-            raise Interrupted(self._request.signum, self.folder.id)
 
     def _report(self, final: bool) -> None:
         steps = self.model.num_timesteps
@@ -141,28 +137,32 @@ class Training:
             **{f"train/{name}": float(values.get(f"train/{name}", np.nan)) for name in LEARNER},
         }
         self._row_steps, self._row_wall = steps, wall
-        self._file.append(row)
-        write_scalars(self._board, row)
+        with naming(self.folder.path / "progress.csv"):
+            self._file.append(row)
+        with naming(self.folder.path):
+            write_scalars(self._board, row)
         self._display.show(row)
 
     def _save(self) -> None:
+        """Put the state of the last boundary on disk, if it is not there yet."""
+        if self._newest is None:
+            return
+        with naming(self.folder.path / "progress.csv"):
+            length = self._file.sync()  # nothing was added to it since that boundary
         facts = {
+            **self._circumstances,
             "wall_s": self.wall,
-            "progress_bytes": self._file.sync(),
+            "progress_bytes": length,
             "row_steps": self._row_steps,
             "row_wall_s": self._row_wall,
-            "threads": self.config.algo.threads,
         }
-        save_checkpoint(
-            self.folder.path / "checkpoint",
-            Checkpoint(self.model.num_timesteps, capture(self.model, self.env), facts),
-        )
-        self._saved = time.monotonic()
+        save_checkpoint(self.folder.file("checkpoint"), replace(self._newest, facts=facts))
+        self._newest, self._saved = None, time.monotonic()
 
     def close(self) -> None:
         """Close the files."""
-        self._file.close()
-        self._board.close()
+        with naming(self.folder.path), closing(self._file), closing(self._board):
+            pass
 
 
 def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
@@ -173,40 +173,45 @@ def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
     the training diverged, and leaves ``error.txt`` behind for anything unforeseen.
     """
     folder = RunFolder(root / run_id(config))
-    with stop_request() as request, folder.lock():
+    with stop_request(folder.id) as request, folder.lock():
         if (folder.path / "policy.safetensors").is_file():
             logger.info("%s is finished; skipped", folder.id)
             return folder.path
         begin_run(config, folder, argv)
         logger.info("training %s: %.1f M steps", folder.id, config.algo.total_steps / 1e6)
         try:
-            steps, wall = attempt(config, folder, request)
-        except Exception as error:
-            if not isinstance(error, Interrupted):
+            wall = attempt(config, folder, request)
+        except Exception:
+            with suppress(OSError):  # the same full disk, perhaps; what is raised already says why
                 atomic_write(folder.path / "error.txt", traceback.format_exc())
             raise
-        facts = {**read_json(folder.path / "run.json"), "steps": steps, "train_wall_s": round(wall, 3)}
-        atomic_write(folder.path / "run.json", json.dumps(facts, indent=1) + "\n")
         logger.info("%s is finished after %.0f s; evaluate it with: srlrace eval %s", folder.id, wall, folder.id)
     return folder.path
 
 
 def begin_run(config: Config, folder: RunFolder, argv: Sequence[str]) -> None:
-    """Write the configuration and where this attempt came from."""
-    atomic_write(folder.path / "config.json", json.dumps(to_dict(config), indent=1) + "\n")
+    """Write the configuration, unless it is there, and where this attempt came from."""
+    path = folder.file("config.json")
+    try:
+        stored = load_config(path) == config
+    except ConfigError:
+        stored = False
+    if not stored:
+        atomic_write(path, json.dumps(to_dict(config), indent=1) + "\n")
     (folder.path / "error.txt").unlink(missing_ok=True)
-    facts = {**provenance(argv), "run": folder.id, "threads": config.algo.threads}
     earlier = folder.info.get("attempts", [])
-    attempts = [*(earlier if isinstance(earlier, list) else []), facts["started"]]
-    atomic_write(folder.path / "run.json", json.dumps({**facts, "attempts": attempts}, indent=1) + "\n")
+    facts = {**provenance(argv), "run": folder.id, "threads": config.algo.threads}
+    facts["attempts"] = [*(earlier if isinstance(earlier, list) else []), facts["started"]]
+    facts[DIGEST] = hashlib.sha256(read_limited(path)).hexdigest()
+    write_sealed(folder.path / "run.json", facts)
 
 
-def attempt(config: Config, folder: RunFolder, request: StopRequest) -> tuple[int, float]:
-    """Train in a folder that is ours until the budget is spent; return steps and seconds."""
+def attempt(config: Config, folder: RunFolder, request: StopRequest) -> float:
+    """Train in a folder that is ours until the budget is spent; return the seconds it took."""
     with Display(folder.id, config.algo.total_steps) as display:
         training = Training(config, folder, display, request)
         try:
             training.run()
         finally:
             training.close()
-    return training.model.num_timesteps, training.wall
+    return training.wall

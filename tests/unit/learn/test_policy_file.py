@@ -11,6 +11,7 @@ import torch
 
 from srlrace.files import FileError
 from srlrace.learn.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from srlrace.learn.policy import _digest as checksum
 from srlrace.learn.policy import act, build_policy, load_policy, save_policy
 from srlrace.learn.tensors import TensorFileError, pack, read_arrays
 
@@ -61,15 +62,31 @@ def test_acting_is_what_sb3_predicts(policy):
 def test_the_file_holds_weights_alone(path, policy):
     arrays, metadata = read_arrays(path)
     assert arrays.keys() == policy.state_dict().keys()
-    assert metadata == {"format": "srlrace-policy-1"}
+    assert metadata["format"].startswith("srlrace-policy-2 ")
+
+
+@pytest.mark.usefixtures("no_pickle")
+def test_policies_of_earlier_versions_have_no_checksum(tiny, path):
+    arrays, _ = read_arrays(path)
+    path.write_bytes(pack(arrays, {"format": "srlrace-policy-1"}))
+    load_policy(tiny, path)
+
+
+def test_another_number_is_noticed(tiny, path):
+    arrays, metadata = read_arrays(path)
+    arrays = {name: array.copy() for name, array in arrays.items()}
+    arrays[FIRST][3, 3] *= 1.0001
+    path.write_bytes(pack(arrays, metadata))
+    with pytest.raises(TensorFileError, match="its checksum does not match"):
+        load_policy(tiny, path)
 
 
 def rewrite(path, change):
-    """Write the same file with its arrays changed."""
-    arrays, metadata = read_arrays(path)
+    """Write the same file with its arrays changed, as a forger would."""
+    arrays, _ = read_arrays(path)
     arrays = dict(arrays)
     change(arrays)
-    path.write_bytes(pack(arrays, metadata))
+    path.write_bytes(pack(arrays, {"format": f"srlrace-policy-2 {checksum(arrays)}"}))
 
 
 FIRST = "mlp_extractor.policy_net.0.weight"
@@ -252,7 +269,7 @@ def flip(path):
 
 
 def cut(path):
-    path.write_bytes(path.read_bytes()[:-1])
+    path.write_bytes(path.read_bytes()[:-2])  # one: the line end of JSON, which is nothing
 
 
 def unlink(path):
