@@ -23,6 +23,7 @@ from srlrace.completion import (
     completing,
 )
 from srlrace.console import fail, out, say, setup_logging
+from srlrace.orphans import LEASE, follow_parent
 
 app = typer.Typer(
     name="srlrace",
@@ -75,20 +76,41 @@ def sweep(
     seeds: Annotated[
         int | None, typer.Option(min=1, max=1000, help="Training seeds; default: the experiment's.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, max=1024, help="Runs trained side by side.")] = 2,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Runs side by side; default: 2 here, all on a cluster.")
+    ] = None,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Training steps of each run, instead of the preset's.")
     ] = None,
     record: Annotated[str, typer.Option(metavar="all|N|none", help="Evaluation episodes to record.")] = "10",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what is to be done.")] = False,
+    launcher: Annotated[
+        str, typer.Option(metavar="local|slurm|ray", envvar="SRLRACE_LAUNCHER", help="Where.")
+    ] = "local",
+    detach: Annotated[bool, typer.Option("--detach", help="Return at once, and go on in the background.")] = False,
+    cores: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Cores and torch threads of a run (other threads, other run).")
+    ] = None,
+    memory: Annotated[float | None, typer.Option(min=0.5, help="GB of memory of a run on a cluster.")] = None,
+    time: Annotated[str | None, typer.Option(metavar="TIME", help="Time limit of a Slurm job.")] = None,
+    partition: Annotated[str | None, typer.Option(envvar="SRLRACE_PARTITION", help="Slurm's partition.")] = None,
+    slurm: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Other options of sbatch.")] = None,
     runs: RunsOption = None,
 ) -> None:
     """Train and evaluate whatever is missing of the named tables ('paper': the paper's), then report."""
     from srlrace.runs import runs_root
-    from srlrace.sweep import Plan, sweep_experiments
+    from srlrace.sweep import command
+    from srlrace.sweep.plan import Plan
+    from srlrace.sweep.plan import experiments as chosen
+    from srlrace.sweep.resources import Resources, read_extra, read_minutes
 
-    plan = Plan(runs_root(runs).absolute(), seeds=seeds, steps=steps, record=check_record(record))
-    raise typer.Exit(sweep_experiments(experiments, plan, jobs, dry_run))
+    plan = Plan(runs_root(runs).absolute(), seeds=seeds, steps=steps, cores=cores, record=check_record(record))
+    resources = Resources(cores, memory, read_minutes(time), partition, read_extra(slurm or []))
+    command.check_launcher(launcher)
+    if detach and not dry_run and launcher != "slurm":
+        chosen(experiments)  # what is not there is said here, not in the background
+        raise typer.Exit(command.detach(plan.root))
+    raise typer.Exit(command.sweep(experiments, plan, launcher, jobs, resources, dry_run))
 
 
 @app.command("eval")
@@ -176,6 +198,46 @@ def resume(run: RunArgument, runs: RunsOption = None) -> None:
     raise typer.Exit(resume_run(find(runs_root(runs), run), ["srlrace", *sys.argv[1:]]))
 
 
+@app.command("replay")
+def replay_flights(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[RUN|FILE.mcap]...", autocompletion=complete_run)
+    ] = None,
+    episode: Annotated[list[int] | None, typer.Option(min=0, help="This episode; may be repeated.")] = None,
+    worst: Annotated[bool, typer.Option("--worst", help="The flight that failed first, else the slowest.")] = False,
+    crashes: Annotated[bool, typer.Option("--crashes", help="All flights that failed.")] = False,
+    overlay: Annotated[int, typer.Option(metavar="N", min=0, help="The first N flights at once.")] = 0,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Overlay the time-optimal reference of the track, as a ghost.")
+    ] = False,
+    reference_file: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap", help="The same, from this recording.")
+    ] = None,
+    suite: Annotated[
+        str, typer.Option(help="train_map, level1, level2, level3.", autocompletion=complete_suite)
+    ] = "train_map",
+    out_file: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.html", help="Default: ./<run>-replay.html.")
+    ] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    runs: RunsOption = None,
+) -> None:
+    """Write flights as one HTML page that plays in any browser; the default RUN is the latest finished one."""
+    from srlrace.replay.command import replay
+    from srlrace.replay.reference import Reference
+    from srlrace.replay.select import Wish
+    from srlrace.runs import latest_finished, runs_root
+
+    root, [suite] = runs_root(runs), check_suites([suite])
+    wish = Wish(tuple(episode or ()), worst, crashes, overlay)
+    ghost = Reference(reference_file) if reference or reference_file else None
+    setup_logging()
+    path = replay(root, names or [str(latest_finished(root).path)], wish, suite, ghost, out_file)
+    out.print(str(path), soft_wrap=True, markup=False)
+    if open_page:
+        typer.launch(path.resolve().as_uri())
+
+
 @app.command()
 def bench(
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers there.")] = None,
@@ -221,6 +283,11 @@ def check_suites(names: list[str]) -> list[str]:
 
 def main() -> Any:
     """Run the command line; bad input is one line and status 2, a file system that refuses one line and 1."""
+    follow_parent()
+    if LEASE in os.environ:
+        from srlrace.sweep.lease import keep_lease
+
+        keep_lease()
     gc.set_threshold(50_000)  # Hydra makes many small objects that live: collecting them is a tenth of its start
     try:
         words = sys.argv[1:]

@@ -2,7 +2,14 @@
 
 from srlrace.recording.archive import CorruptRecording
 from srlrace.recording.flight import Flight, SceneObstacle
-from srlrace.recording.reader import read_config, read_episodes, read_flight, read_metadata, read_states
+from srlrace.recording.reader import (
+    read_config,
+    read_episodes,
+    read_flight,
+    read_metadata,
+    read_states,
+    recorded_episodes,
+)
 from srlrace.recording.recover import recover
 from srlrace.recording.writer import RecordingWriter
 
@@ -16,5 +23,6 @@ __all__ = [
     "read_flight",
     "read_metadata",
     "read_states",
+    "recorded_episodes",
     "recover",
 ]

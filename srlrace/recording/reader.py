@@ -49,6 +49,13 @@ def read_episodes(path: Path) -> pd.DataFrame:
         return pd.read_csv(BytesIO(archive.attachment(EPISODES_NAME)))
 
 
+def recorded_episodes(path: Path) -> tuple[int, ...]:
+    """Numbers of the episodes whose flights a recording holds, from its index; raises as `read_states`."""
+    with Archive(path) as archive, refusing(archive.path):
+        topics = Topics.check(archive.schemas, archive.channels)
+        return tuple(np.unique(_owners(archive, topics)).tolist())
+
+
 def read_config(path: Path) -> bytes:
     """The attached configuration of the run, as the JSON text it was recorded with; raises as `read_states`."""
     with Archive(path) as archive, refusing(archive.path):
@@ -76,10 +83,16 @@ def _chunks_of(archive: Archive, topics: Topics, episodes: Sequence[int] | None)
     """Chunks of the given episodes by time, or of all; None when one is missing."""
     if episodes is None:
         return list(range(len(archive.chunks)))
-    owner = (archive.chunks[:, 0].astype(np.int64) - EPOCH) // topics.period
+    owner = _owners(archive, topics)
     if not np.isin(episodes, owner).all():
         return None
     return np.flatnonzero(np.isin(owner, episodes)).tolist()
+
+
+def _owners(archive: Archive, topics: Topics) -> np.ndarray:
+    """The episode (chunks,) int64 that each chunk belongs to."""
+    owners: np.ndarray = (archive.chunks[:, 0].astype(np.int64) - EPOCH) // topics.period
+    return owners
 
 
 def _values(payloads: list[bytes], layout: Layout) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Replays: flights as one self-contained HTML page."""
