@@ -20,3 +20,10 @@ def handling(handler: Callable[[int, FrameType | None], object]) -> Iterator[Non
     finally:
         for number, before in previous.items():
             signal.signal(number, before)
+
+
+def pass_on(signum: int) -> None:
+    """Let the handler that was there before `handling` have a signal that came during it, now that all is saved."""
+    handler = signal.getsignal(signum)
+    if callable(handler):
+        handler(signum, None)

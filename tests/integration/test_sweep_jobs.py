@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from srlrace import cli, sweep
+from srlrace import cli
+from srlrace.confdir import conf_dir
 from srlrace.config import load_config
 from srlrace.hydra_bridge import compose
 from srlrace.runs import State, list_runs
-from srlrace.sweep import Plan, experiments, plan_jobs
+from srlrace.sweep import crew
+from srlrace.sweep.plan import Plan, experiments, plan_jobs
 
 # Stands in for `python -m srlrace`: writes what train and eval would leave, and a line for each call.
 STUB = """
@@ -48,7 +50,7 @@ else:
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     (tmp_path / "stub.py").write_text(STUB)
-    monkeypatch.setattr(sweep, "PROGRAM", (sys.executable, str(tmp_path / "stub.py")))
+    monkeypatch.setattr(crew, "PROGRAM", (sys.executable, str(tmp_path / "stub.py")))
     monkeypatch.setattr("srlrace.report.command.report", lambda root: None)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -66,7 +68,7 @@ def calls(place) -> list[str]:
 
 
 def test_every_experiment_composes_and_shared_runs_are_planned_once(tmp_path):
-    names = [path.stem for path in (sweep.conf_dir() / "experiment").glob("*.yaml")]
+    names = [path.stem for path in (conf_dir() / "experiment").glob("*.yaml")]
     jobs = plan_jobs(experiments(names), Plan(tmp_path, seeds=1))
     assert len({job.folder.id for job in jobs}) == len(jobs)
     rows = sum(len(experiment.rows) for experiment in experiments(names))
@@ -110,7 +112,8 @@ def test_a_failed_run_is_reported_and_the_others_go_on(place, monkeypatch, capfd
 
 def test_ctrl_c_reaches_every_process_once(place):
     code = (
-        f"import sys; from srlrace import cli, sweep; sweep.PROGRAM = (sys.executable, {str(place / 'stub.py')!r})\n"
+        "import sys; from srlrace import cli; from srlrace.sweep import crew; "
+        f"crew.PROGRAM = (sys.executable, {str(place / 'stub.py')!r})\n"
         "sys.argv = ['srlrace', 'sweep', 'smoke', '--seeds', '3', '--jobs', '2']; cli.main()"
     )
     environment = {**os.environ, "STUB": "wait"}
