@@ -1,4 +1,4 @@
-"""The lean PPO is SB3's PPO: same gradient as autograd, same update, same bootstrapped rollout."""
+"""The lean PPO is SB3's PPO: same update, same bootstrapped rollout."""
 
 from __future__ import annotations
 
@@ -9,33 +9,13 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
-from torch import nn
 
 from srlrace.hydra_bridge import compose
 from srlrace.learn.lean_ppo import LeanPPO
-from srlrace.learn.mlp import Perceptron
 from srlrace.learn.ppo import build_ppo
 from srlrace.task.vec_env import RaceVecEnv
 
 SMALL = ["level=none", "algo.n_envs=16", "algo.n_steps=64", "algo.batch_size=256", "algo.n_epochs=3"]
-
-
-@pytest.mark.parametrize("activation", [nn.ReLU, nn.Tanh, nn.ELU])
-def test_the_written_out_gradient_is_that_of_autograd(activation: type[nn.Module]) -> None:
-    torch.manual_seed(1)
-    hidden, head = nn.Sequential(nn.Linear(7, 12), activation(), nn.Linear(12, 9), activation()), nn.Linear(9, 3)
-    parameters = [*hidden.parameters(), *head.parameters()]
-    x, g = torch.randn(50, 7), torch.randn(50, 3)
-    (head(hidden(x)) * g).sum().backward()
-    expected = [p.grad.clone() for p in parameters]  # type: ignore[union-attr]
-    for p in parameters:
-        p.grad = torch.full_like(p, torch.nan)  # whatever stood there must not matter
-    with torch.no_grad():
-        perceptron = Perceptron(hidden, head)
-        torch.testing.assert_close(perceptron.forward(x), head(hidden(x)))
-        perceptron.backward(g)
-    for p, value in zip(parameters, expected, strict=True):
-        torch.testing.assert_close(p.grad, value)
 
 
 def rolled_out(*overrides: str) -> tuple[LeanPPO, RaceVecEnv]:
@@ -58,6 +38,7 @@ def rolled_out(*overrides: str) -> tuple[LeanPPO, RaceVecEnv]:
         ("algo.ent_coef=0.01", "algo.activation=tanh"),
         ("algo.clip_range=0.01", "algo.learning_rate=0.01"),  # most samples clipped
         ("algo.max_grad_norm=0.001", "algo.activation=elu"),  # every gradient clipped
+        ("algo.policy_layers=[19]", "algo.value_layers=[7,130,5]"),  # no size fits a register
     ],
 )
 def test_an_update_is_that_of_sb3(overrides: tuple[str, ...]) -> None:
