@@ -89,11 +89,11 @@ def read_limited(path: Path, limit: int = JSON_LIMIT) -> bytes:
     return data
 
 
-def write_sealed(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Write a JSON object together with its checksum; returns what was written."""
+def write_sealed(path: Path, data: Mapping[str, Any], durable: bool = True) -> dict[str, Any]:
+    """Write a JSON object together with its checksum, as `atomic_write` does; returns what was written."""
     content = {key: value for key, value in data.items() if key != SEAL}
     content[SEAL] = _digest(content)
-    atomic_write(path, json.dumps(content, indent=1) + "\n")
+    atomic_write(path, json.dumps(content, indent=1) + "\n", durable)
     return content
 
 

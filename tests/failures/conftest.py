@@ -1,0 +1,65 @@
+"""Failures of every kind: small versions in the default tests, the full ones with ``make soak``."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+import zygote as zygotes
+from invariants import results
+from kinds import words
+
+SOAK = os.environ.get("SRLRACE_SOAK") == "1"
+
+
+@pytest.fixture(scope="session")
+def zygote() -> Iterator[zygotes.Zygote]:
+    running = zygotes.Zygote()
+    yield running
+    running.close()
+
+
+@pytest.fixture(scope="session")
+def much() -> Callable[[int, int], int]:
+    """How much of something to do: so much in the default tests, so much in the soak."""
+    return lambda small, full: full if SOAK else small
+
+
+@pytest.fixture
+def chance(request: pytest.FixtureRequest) -> random.Random:
+    """Other moments in every run of a test: all of them must do. The seed is shown when it fails."""
+    seed = int(os.environ.get("SRLRACE_SEED") or random.SystemRandom().randrange(10**6))
+    print(f"SRLRACE_SEED={seed}")
+    return random.Random(seed)
+
+
+@pytest.fixture(scope="session")
+def undisturbed(zygote: zygotes.Zygote, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str, bytes]]:
+    """The results of a run of each kind that nothing disturbed."""
+    known: dict[str, dict[str, bytes]] = {}
+
+    def get(kind: str) -> dict[str, bytes]:
+        if kind not in known:
+            place = tmp_path_factory.mktemp(kind)
+            runs = ["--runs", str(place / "runs")]
+            ended = zygote.run(["train", *words(kind), *runs], ["eval", "--episodes", "12", *runs], out=place / "out")
+            assert ended.status == 0, (place / "out").read_text()
+            [folder] = (place / "runs").iterdir()
+            known[kind] = results(folder)
+        return known[kind]
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def say(pytestconfig: pytest.Config) -> Callable[[str], None]:
+    """Tell a figure of the soak on the terminal."""
+    reporter = pytestconfig.pluginmanager.get_plugin("terminalreporter")
+
+    def tell(text: str) -> None:
+        if SOAK and reporter:
+            reporter.write_line(f"  {text}")
+
+    return tell

@@ -1,0 +1,120 @@
+"""SIGKILL at any moment: nothing is lost, and the end is the same to the bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import pytest
+from invariants import check_root, leftovers, results
+from kinds import KINDS, words
+
+from srlrace.learn.checkpoint import load_checkpoint
+from srlrace.recording import read_states, recover
+
+SOAKED = os.environ.get("SRLRACE_SOAK") == "1"
+FEW = ("buffers", "randomized", "mixed", "laps")  # between them, all that a training remembers
+LONGEST = 0.9  # s that a process is left alone before it is killed, at most
+SAVE_OFTEN = {"srlrace.learn.train:SAVE_EVERY": 0.0}
+
+
+@pytest.mark.parametrize("kind", KINDS if SOAKED else FEW)
+def test_killed_again_and_again_it_ends_the_same(zygote, undisturbed, tmp_path, chance, much, say, kind):
+    expected, kills, rounds, steps = undisturbed(kind), 0, 0, set()
+    wanted = much(5, 20)
+    while kills < wanted or rounds == 0:
+        rounds += 1
+        root = tmp_path / f"runs{rounds}"
+        command = (["train", *words(kind), "--runs", root], ["eval", "--episodes", "12", "--runs", root])
+        while True:
+            process = zygote.start(*command, out=tmp_path / "out", set=SAVE_OFTEN)
+            if kills < wanted:
+                time.sleep(chance.uniform(0, LONGEST))
+                os.kill(process, signal.SIGKILL)
+            status = zygote.wait(process).status
+            assert status in (0, -9), (tmp_path / "out").read_text()
+            check_root(root)
+            if status == 0:
+                break
+            kills += 1
+            for folder in root.glob("*/checkpoint"):
+                kept = load_checkpoint(folder)
+                steps.add(kept.steps if kept else 0)
+        [folder] = [path for path in root.iterdir() if not path.name.startswith(".")]
+        assert results(folder) == expected
+        assert leftovers(root) == []
+    say(f"{kind}: {kills} kills over {rounds} runs, at {len(steps)} different checkpoints; all ended the same")
+
+
+def test_killed_within_a_save_nothing_is_unreadable(tmp_path, chance, much, say):
+    """The process says what it saved: that, or one that it was about to say, is what must be there."""
+    kills, known = much(12, 100), 0
+    for _ in range(kills):
+        output, child = os.pipe()
+        process = os.fork()
+        if process == 0:
+            save_for_ever(tmp_path, known, child)
+        os.close(child)
+        first = os.read(output, 100)
+        time.sleep(chance.uniform(0, 0.05))
+        os.kill(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        with os.fdopen(output, "rb") as stream:
+            said = int((first + stream.read()).split()[-1])
+        kept = load_checkpoint(tmp_path / "checkpoint")
+        assert kept is None or (kept.arrays["a"] == kept.steps).all()
+        assert said <= (kept.steps if kept else 0) <= said + 1
+        known = kept.steps if kept else 0
+    say(f"{kills} kills within {known} saves: none unreadable")
+    assert known > kills
+
+
+def save_for_ever(folder, steps, output) -> None:
+    """What a killed process was doing."""
+    import numpy as np
+
+    from srlrace.learn.checkpoint import Checkpoint, save_checkpoint
+
+    while True:
+        steps += 1
+        save_checkpoint(folder / "checkpoint", Checkpoint(steps, {"a": np.full(20_000, steps)}, {}))
+        os.write(output, b"%d " % steps)
+
+
+def test_a_killed_evaluation_is_recovered_and_completed(zygote, undisturbed, tmp_path, chance, much, say):
+    """Killed while it writes, at sizes that are drawn: what is whole is kept, and repeating completes the rest."""
+    root, out = tmp_path / "runs", tmp_path / "out"
+    words_ = [*words("plain"), "env.horizon=0.5"]
+    evaluation = ["eval", "--episodes", "400", "--runs", root]
+    assert zygote.run(["train", *words_, "--runs", root], evaluation, out=out).status == 0, out.read_text()
+    [folder] = root.glob("*/eval/train_map")
+    recording = folder / "trajectories.mcap"
+    part = recording.with_name("trajectories.mcap.part")
+    whole = {path.name: path.read_bytes() for path in folder.iterdir()}
+    truth = read_states(recording)
+    recovered, killed = [], 0
+    for _ in range(much(4, 20)):
+        recording.unlink()
+        size = chance.randrange(len(whole["trajectories.mcap"]))
+        process = zygote.start(evaluation, out=out)
+        while size_of(part) < size and not recording.exists():
+            pass
+        os.kill(process, signal.SIGKILL)
+        killed += zygote.wait(process).status == -9
+        check_root(root)
+        if part.exists() and part.stat().st_size > 20_000:
+            states = read_states(recover(part))
+            assert states.equals(truth[: len(states)])
+            recovered.append(states["episode"].nunique())
+        assert zygote.run(evaluation, out=out).status == 0, out.read_text()
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == whole
+    say(f"{killed} evaluations killed; episodes recovered: {sorted(recovered)}")
+    assert killed
+
+
+def size_of(path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return -1
