@@ -224,13 +224,13 @@ def replay_flights(
 ) -> None:
     """Write flights as one HTML page that plays in any browser; the default RUN is the latest finished one."""
     from srlrace.replay.command import replay
-    from srlrace.replay.reference import Reference
+    from srlrace.replay.reference import Ghost
     from srlrace.replay.select import Wish
     from srlrace.runs import latest_finished, runs_root
 
     root, [suite] = runs_root(runs), check_suites([suite])
     wish = Wish(tuple(episode or ()), worst, crashes, overlay)
-    ghost = Reference(reference_file) if reference or reference_file else None
+    ghost = Ghost(reference_file) if reference or reference_file else None
     setup_logging()
     path = replay(root, names or [str(latest_finished(root).path)], wish, suite, ghost, out_file)
     out.print(str(path), soft_wrap=True, markup=False)

@@ -14,7 +14,7 @@ from srlrace.files import atomic_write
 from srlrace.recording import Flight
 from srlrace.replay.pack import pack_course, pack_flight, pack_obstacles
 from srlrace.replay.page import render_page
-from srlrace.replay.reference import Reference
+from srlrace.replay.reference import Ghost
 from srlrace.replay.select import MAX_FLIGHTS, Selection, Wish, select, timed
 from srlrace.replay.source import Source, open_source
 from srlrace.runs import RunError
@@ -37,10 +37,10 @@ def replay(
     queries: Sequence[str],
     wish: Wish,
     suite: str = "train_map",
-    reference: Reference | None = None,
+    ghost: Ghost | None = None,
     out: Path | None = None,
 ) -> Path:
-    """Write the page and return its path; ``reference`` is overlaid as a ghost.
+    """Write the page and return its path; ``ghost`` overlays the time-optimal reference.
 
     Raises `RunError`, `ConfigError`, CorruptRecording or OSError with a message to the user.
     """
@@ -49,10 +49,11 @@ def replay(
     shown = [flight for source in sources for flight in _flights(source, wish, sources[0])]
     if len(shown) > MAX_FLIGHTS:
         raise RunError(f"that makes {len(shown)} flights; a replay holds at most {MAX_FLIGHTS}")
-    ghost = reference.flight(sources[0].config) if reference else None
+    leading = next(item.flight for item in shown if item.visible)
+    reference = ghost.flight(sources[0].config, leading) if ghost else None
     title = " · ".join(dict.fromkeys(_name(source.name) for source in sources))
     path = out or Path(f"{re.sub(r'[^A-Za-z0-9_.-]', '_', _name(sources[0].name)).lstrip('.')}-replay.html")
-    atomic_write(path, render_page(f"{title} · srlrace replay", page_data(sources, shown, ghost)))
+    atomic_write(path, render_page(f"{title} · srlrace replay", page_data(sources, shown, reference)))
     return path
 
 
@@ -85,7 +86,7 @@ def _same(first: Source, wish: Wish, table: Any) -> Selection:
     return Selection(numbers, numbers, f"episode{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}")
 
 
-def page_data(sources: Sequence[Source], shown: Sequence[Shown], ghost: Flight | None) -> dict[str, Any]:
+def page_data(sources: Sequence[Source], shown: Sequence[Shown], reference: Flight | None) -> dict[str, Any]:
     """The data of the page, ready for JSON."""
     scenes: dict[tuple[Any, ...], int] = {}
     flights = []
@@ -93,9 +94,9 @@ def page_data(sources: Sequence[Source], shown: Sequence[Shown], ghost: Flight |
         scene = scenes.setdefault(item.flight.scene, len(scenes))
         labels = {"run": sources.index(item.source), "scene": scene, "visible": item.visible, "ghost": False}
         flights.append(labels | _description(item.flight, item.time) | pack_flight(item.flight))
-    if ghost is not None:
+    if reference is not None:
         labels = {"run": -1, "scene": flights[0]["scene"], "visible": True, "ghost": True}
-        flights.append(labels | _description(ghost, ghost.finish_time) | pack_flight(ghost))
+        flights.append(labels | _description(reference, _duration(reference)) | pack_flight(reference))
     return {
         "format": 1,
         "course": pack_course(sources[0].config),
@@ -103,6 +104,11 @@ def page_data(sources: Sequence[Source], shown: Sequence[Shown], ghost: Flight |
         "scenes": [pack_obstacles(scene) for scene in scenes],
         "flights": flights,
     }
+
+
+def _duration(flight: Flight) -> float:
+    """How long a flight took, s: a delayed one counts from where it begins."""
+    return float((flight.time[-1] if flight.finish_time is None else flight.finish_time) - flight.time[0])
 
 
 def _description(flight: Flight, time: float | None) -> dict[str, Any]:

@@ -4,18 +4,22 @@ import { PerspectiveCamera, Vector3 } from "./three/three.min.js";
 import { heading, sample } from "./flight.js";
 
 const FIELD_OF_VIEW = 52; // degrees, of the shorter side of the picture: phones see as much as screens
+const TOP_FIELD = 14; // degrees: from far above, so that trees hardly lean
 const CHASE = { distance: 4.2, pitch: 0.24 }; // m and rad: above and behind, with the drone below the middle
+const NEAR = 0.05; // m, nearest that is drawn
 const AIM = 0.55; // m above the drone that the chasing camera looks at
 const PITCH = { least: -0.15, most: 1.5 }; // rad above the horizon
 
 /** A camera rig: `look(state, flight)` places its camera, `drag`, `zoom` and `reset` are the viewer's hands. */
 export function createCamera(course, flights) {
-  const camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 600);
+  const camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, NEAR, 2000);
   camera.up.set(0, 0, 1);
   const box = extent(flights);
   const hands = {};
   const eye = new Vector3();
   const target = new Vector3();
+  const room = { width: 1, height: 1, right: 0, down: 0, wide: 1, tall: 1 }; // what the panels leave free
+  let wide = FIELD_OF_VIEW;
 
   function reset() {
     Object.assign(hands, { yaw: 0, pitch: 0, zoom: 1, panX: 0, panY: 0 });
@@ -35,20 +39,31 @@ export function createCamera(course, flights) {
   function above() {
     const [width, depth] = [box.size.x, box.size.y].map((size) => size + 5);
     target.set(box.centre.x + hands.panX, box.centre.y + hands.panY, 0);
-    const upright = camera.aspect < 1 && width > depth; // a long course stands upright on a phone
+    const upright = room.wide < room.tall && width > depth; // a long course stands upright on a phone
     const [across, along] = upright ? [depth, width] : [width, depth];
-    const half = Math.tan((camera.fov * Math.PI) / 360);
-    const height = Math.max(along / 2 / half, across / 2 / half / camera.aspect) * hands.zoom + box.centre.z;
+    lens(TOP_FIELD, 2);
+    const half = tangent();
+    const height = Math.max(along / room.tall, across / room.wide) / 2 / half * hands.zoom + box.centre.z;
     eye.set(target.x, target.y, height);
     camera.up.set(upright ? 1 : 0, upright ? 0 : 1, 0);
   }
 
   function free() {
-    const half = Math.tan((camera.fov * Math.PI) / 360) * Math.min(1, camera.aspect);
+    const half = tangent() * Math.min(room.tall, room.wide);
     const reach = Math.hypot(box.size.x, box.size.y, box.size.z) / 2;
-    target.set(box.centre.x + hands.panX, box.centre.y + hands.panY, box.centre.z * 0.6);
+    target.set(box.centre.x + hands.panX, box.centre.y + hands.panY, 0);
     const yaw = (camera.aspect < 1 && box.size.x > box.size.y ? Math.PI : -Math.PI / 2 - 0.45) + hands.yaw;
-    orbit(yaw, clamp(0.62 + hands.pitch), ((0.72 * reach) / half) * hands.zoom);
+    orbit(yaw, clamp(0.62 + hands.pitch), ((0.68 * reach) / half) * hands.zoom);
+  }
+
+  function lens(field, near) {
+    if (camera.fov === field && camera.near === near) return;
+    Object.assign(camera, { fov: field, near });
+    camera.updateProjectionMatrix();
+  }
+
+  function tangent() {
+    return Math.tan((camera.fov * Math.PI) / 360);
   }
 
   function orbit(yaw, pitch, distance) {
@@ -60,23 +75,32 @@ export function createCamera(course, flights) {
   return {
     camera,
     reset,
+    /** Half the picture's height at a distance of 1. */
+    tangent,
     look(state, flight) {
       camera.up.set(0, 0, 1);
+      lens(wide, NEAR);
+      const aside = state.camera === "follow" ? 0 : room.right;
+      camera.setViewOffset(room.width, room.height, aside, room.down, room.width, room.height);
       ({ follow: () => chase(state, flight), top: above, free })[state.camera]();
       camera.position.copy(eye);
       camera.lookAt(target);
       return state.camera === "follow" ? eye.distanceTo(target) : 0;
     },
-    resize(width, height) {
+    /** `free` are the edges of the part of the picture that no panel covers, CSS pixels. */
+    resize(width, height, free) {
       camera.aspect = width / height;
+      const [right, down] = [(width - free.left - free.right) / 2, (height - free.top - free.bottom) / 2];
+      const [across, along] = [free.right - free.left, free.bottom - free.top];
+      Object.assign(room, { width, height, right, down, wide: across / height, tall: along / height });
       const half = Math.tan((FIELD_OF_VIEW * Math.PI) / 360);
-      camera.fov = (Math.atan(camera.aspect < 1 ? half / Math.max(camera.aspect, 0.62) : half) * 360) / Math.PI;
+      wide = (Math.atan(camera.aspect < 1 ? half / Math.max(camera.aspect, 0.62) : half) * 360) / Math.PI;
       camera.updateProjectionMatrix();
     },
     /** Drag by shares of the picture's height; panning moves the floor under the pointer. */
     drag(dx, dy, mode, pan) {
       if (mode === "top" || (pan && mode === "free")) {
-        const distance = eye.distanceTo(target) * 2 * Math.tan((camera.fov * Math.PI) / 360);
+        const distance = eye.distanceTo(target) * 2 * tangent();
         const right = new Vector3().setFromMatrixColumn(camera.matrixWorld, 0);
         const up = new Vector3().setFromMatrixColumn(camera.matrixWorld, 1);
         hands.panX += (-dx * right.x + dy * up.x) * distance;

@@ -2,14 +2,14 @@
 
 import {
   BoxGeometry, CircleGeometry, Color, CylinderGeometry, DoubleSide, Group, Mesh, MeshBasicMaterial,
-  MeshStandardMaterial, Quaternion, SphereGeometry, TorusGeometry, Vector3,
+  MeshLambertMaterial, Quaternion, SphereGeometry, TorusGeometry, Vector3,
 } from "./three/three.min.js";
 import { SCENE, flightColour } from "./colours.js";
 
 // Front left, front right, back right, back left: the order of the recorded thrusts.
 const CORNERS = [[1, 1], [1, -1], [-1, -1], [-1, 1]];
 const BAR = 0.42; // m, length of the bar at full thrust
-const SEEN = 0.021; // least size of an arm, as a share of its distance: far drones are drawn larger
+const SEEN = 0.028; // least size of an arm, as a share of half the picture: far drones are drawn larger
 
 export function createDrone(flight, course) {
   const arm = course.armLength;
@@ -25,12 +25,12 @@ export function createDrone(flight, course) {
   shadow.renderOrder = 1;
   return {
     objects: [group, shadow, crash],
-    draw(now, eye, drawn) {
+    draw(now, eye, tangent, drawn) {
       for (const object of [group, shadow, crash]) object.visible = drawn;
       if (!drawn || !now.position.every(Number.isFinite)) return;
       group.position.set(...now.position);
       group.quaternion.copy(new Quaternion(...now.attitude)).normalize();
-      const scale = Math.max(1, (eye.distanceTo(group.position) * SEEN) / arm);
+      const scale = Math.max(1, (eye.distanceTo(group.position) * tangent * SEEN) / arm);
       group.scale.setScalar(scale);
       now.thrusts.forEach((thrust, rotor) => {
         thrusts[rotor].scale.z = Math.max(0.001, (BAR * thrust) / course.thrustMax);
@@ -58,7 +58,7 @@ export function createDrone(flight, course) {
 
 function material(flight) {
   const ghost = { transparent: flight.ghost, opacity: flight.ghost ? 0.45 : 1, depthWrite: !flight.ghost };
-  return new MeshStandardMaterial({ roughness: 0.55, metalness: 0.15, ...ghost });
+  return new MeshLambertMaterial(ghost);
 }
 
 function addFrame(group, arm, body, mark) {

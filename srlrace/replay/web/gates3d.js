@@ -7,7 +7,7 @@ import {
 import { SCENE } from "./colours.js";
 
 const RING = 0.85; // m, radius of the ring; only the sphere inside counts
-const LABEL = 0.05; // height of a number, as a share of the picture's
+const LABEL = 0.1; // height of a number, as a share of half the picture's
 
 /** The gates of one flight at a time: an evaluation moves some of them from episode to episode. */
 export function createGates(course) {
@@ -22,7 +22,7 @@ export function createGates(course) {
 
   return {
     objects: [group],
-    draw(flight, passed) {
+    draw(flight, passed, tangent) {
       const gates = gatesOf(flight);
       if (group.children[0] !== gates[0].group) {
         group.clear();
@@ -30,7 +30,7 @@ export function createGates(course) {
       }
       const next = course.sequence[passed];
       const done = new Set(course.sequence.slice(0, passed));
-      gates.forEach((gate, index) => gate.show(index === next ? "next" : done.has(index) ? "passed" : "coming", look));
+      gates.forEach((gate, index) => gate.show(index === next ? "next" : done.has(index) ? "passed" : "coming", look, tangent));
     },
     theme(theme) { look = theme; },
   };
@@ -48,7 +48,6 @@ function createGate(course, waypoints, index) {
   const stem = new Mesh(new CylinderGeometry(0.012, 0.012, stemLength, 6).rotateX(Math.PI / 2), paint);
   stem.position.z = -z + stemLength / 2;
   const label = new Sprite(new SpriteMaterial({ transparent: true, depthTest: false, sizeAttenuation: false }));
-  label.scale.set(LABEL, LABEL, 1);
   label.center.set(0.5, -0.15);
   label.position.z = RING;
   label.renderOrder = 8;
@@ -56,7 +55,8 @@ function createGate(course, waypoints, index) {
   group.add(ring, ball, stem, label);
   return {
     group,
-    show(status, theme) {
+    show(status, theme, tangent) {
+      label.scale.set(LABEL * tangent, LABEL * tangent, 1);
       const colour = new Color(SCENE[theme][status]);
       paint.color = colour;
       glass.color = colour;

@@ -33,7 +33,7 @@ export function listenToKeys(store, data, view, actions) {
     n: () => stepFlight(store, data, 1), p: () => stepFlight(store, data, -1), c: () => nextCamera(store),
     PageUp: () => zoom(0.85), PageDown: () => zoom(1 / 0.85), 0: () => { view.reset(); store.change({}); },
     t: () => store.change({ bySpeed: !store.state.bySpeed }), o: () => store.change({ shells: !store.state.shells }),
-    l: actions.theme, h: () => document.body.classList.toggle("bare"), "?": actions.help,
+    l: actions.theme, h: actions.panels, "?": actions.help,
   };
   const turns = { ArrowLeft: [TURN, 0], ArrowRight: [-TURN, 0], ArrowUp: [0, TURN], ArrowDown: [0, -TURN] };
   document.addEventListener("keydown", (event) => {

@@ -2,7 +2,7 @@
 
 import { css, speedRamp } from "./colours.js";
 import { loadData } from "./data.js";
-import { fixed, get, prepare, setText } from "./dom.js";
+import { fixed, get, make, prepare, setText } from "./dom.js";
 import { createHud } from "./hud.js";
 import { listenToKeys, listenToPointer, nextCamera } from "./input.js";
 import { createList } from "./list.js";
@@ -12,6 +12,7 @@ import { createView2D } from "./view2d.js";
 import { createView3D } from "./view3d.js";
 
 const CAMERA_NAMES = { follow: "Follow", top: "Top", free: "Free" };
+const COURSE_NAMES = { split_s: "Split-S", split_s_cpc: "Split-S (CPC)" };
 const NARROW = 820; // CSS pixels: below, the list of flights is closed at first
 
 const data = loadData(get("data").textContent);
@@ -47,8 +48,9 @@ function initialState(loaded) {
 
 function describe() {
   const { course, runs } = data;
-  const track = course.name.replaceAll("_", " ");
-  setText(get("course"), track.charAt(0).toUpperCase() + track.slice(1));
+  const plain = course.name.replaceAll("_", " ");
+  const track = COURSE_NAMES[course.name] ?? plain.charAt(0).toUpperCase() + plain.slice(1);
+  setText(get("course"), track);
   const names = runs.map((run) => run.name).join(" \u00b7 ");
   setText(get("policy"), names);
   get("policy").title = names;
@@ -58,14 +60,18 @@ function describe() {
 }
 
 function drawButtons(state) {
-  setText(get("camera"), CAMERA_NAMES[state.camera]);
-  get("camera").setAttribute("aria-label", `Camera: ${CAMERA_NAMES[state.camera]}`);
+  label(get("camera"), "Camera ", CAMERA_NAMES[state.camera]);
   get("shells").setAttribute("aria-pressed", String(state.shells));
-  setText(get("colouring"), state.bySpeed ? "By speed" : "By flight");
-  get("colouring").setAttribute("aria-label", `Trails coloured by ${state.bySpeed ? "speed" : "flight"}`);
+  label(get("colouring"), "Trails ", state.bySpeed ? "By speed" : "By flight");
   setText(get("theme"), state.theme === "dark" ? "Light" : "Dark");
   get("theme").setAttribute("aria-label", `Change to ${state.theme === "dark" ? "light" : "dark"}`);
   get("legend").hidden = !state.bySpeed;
+}
+
+/** A button's name, and the value that stands alone where there is little room. */
+function label(button, name, value) {
+  if (!button.firstChild) button.append(make("span", "what", name), make("span"));
+  setText(button.lastChild, value);
 }
 
 function drawRamp(theme) {
@@ -93,9 +99,25 @@ function openHelp() {
   get("help").showModal();
 }
 
+function togglePanels() {
+  document.body.classList.toggle("bare");
+  window.dispatchEvent(new Event("resize"));
+}
+
 function showFlights(open) {
   get("flights").hidden = !open;
   get("flights-button").setAttribute("aria-expanded", String(open));
+  window.dispatchEvent(new Event("resize"));
+}
+
+/** Edges of the part of the picture that no panel covers, CSS pixels. */
+function freeRoom() {
+  const [width, height] = [window.innerWidth, window.innerHeight];
+  const box = (id) => get(id).getBoundingClientRect();
+  if (document.body.classList.contains("bare")) return { left: 0, top: 0, right: width, bottom: box("transport").top };
+  const narrow = width <= NARROW;
+  const right = get("flights").hidden || narrow ? width : box("flights").left;
+  return { left: 0, top: box("tools").bottom, right, bottom: box(narrow ? "hud" : "transport").top };
 }
 
 function wireButtons() {
@@ -114,21 +136,20 @@ function wireButtons() {
 function start() {
   describe();
   wireButtons();
-  showFlights(window.innerWidth > NARROW);
   createList(store, data);
-  listenToKeys(store, data, view, { theme: toggleTheme, help: openHelp });
+  listenToKeys(store, data, view, { theme: toggleTheme, help: openHelp, panels: togglePanels });
   listenToPointer(get("view"), store, view);
   const drawHud = createHud(data);
   const drawTimeline = createTimeline(store, data);
   const fit = () => {
-    view.resize(window.innerWidth, window.innerHeight);
+    view.resize(window.innerWidth, window.innerHeight, freeRoom());
     drawRamp(store.state.theme);
     store.change({});
   };
   store.listen((state, values) => { if (values.theme) applyTheme(values.theme); });
   window.addEventListener("resize", fit);
   applyTheme(store.state.theme);
-  fit();
+  showFlights(window.innerWidth > NARROW);
   startClock(store, data, (state) => {
     drawButtons(state);
     view.draw(state);

@@ -9,6 +9,10 @@ import { createGates } from "./gates3d.js";
 import { createTrail } from "./trail3d.js";
 import { createFloor, createObstacles } from "./world3d.js";
 
+const HAZE = { near: 35, far: 130 }; // m
+const CLEAR = { near: 5000, far: 9000 };
+const SLOW = 45; // ms a frame: then fewer pixels are drawn
+const LEAST_PIXELS = 0.5;
 const MOST_PIXELS = 2; // device pixels per CSS pixel that are drawn at most: phones have 3, nobody sees it
 
 /** Returns null where there is no WebGL. */
@@ -30,18 +34,37 @@ export function createView3D(canvas, data) {
   for (const part of [floor, gates, ...obstacles, ...drones]) scene.add(...part.objects);
   for (const trail of trails) scene.add(trail.mesh);
 
+  const size = { width: 1, height: 1, ratio: 1, last: null, mean: 16 };
+
+  /** Draw fewer pixels where a frame takes long, as without a graphics card. */
+  function adapt(playing) {
+    const now = performance.now();
+    if (playing && size.last !== null) size.mean += 0.1 * (Math.min(now - size.last, 400) - size.mean);
+    size.last = playing ? now : null;
+    if (size.mean < SLOW || size.ratio <= LEAST_PIXELS) return;
+    Object.assign(size, { ratio: Math.max(size.ratio * 0.75, LEAST_PIXELS), mean: 16 });
+    fit();
+  }
+
+  function fit() {
+    renderer.setPixelRatio(size.ratio);
+    renderer.setSize(size.width, size.height, false);
+  }
+
   function draw(state) {
     const focus = data.flights[state.focus];
     const depth = rig.look(state, focus);
     rig.camera.updateMatrixWorld();
+    Object.assign(scene.fog, state.camera === "top" ? CLEAR : HAZE);
+    adapt(state.playing);
     const centre = new Vector3(...sample(focus, state.time).position).applyMatrix4(rig.camera.matrixWorldInverse);
     obstacles.forEach((part, index) => part.draw(index === focus.scene, state.shells, depth, centre));
-    gates.draw(focus, passedAt(focus, state.time));
+    gates.draw(focus, passedAt(focus, state.time), rig.tangent());
     data.flights.forEach((flight, index) => {
       const drawn = state.visible.has(index);
       trails[index].mesh.visible = drawn;
       trails[index].draw(state.time, state.bySpeed, index === state.focus);
-      drones[index].draw(sample(flight, state.time), rig.camera.position, drawn);
+      drones[index].draw(sample(flight, state.time), rig.camera.position, rig.tangent(), drawn);
     });
     renderer.render(scene, rig.camera);
   }
@@ -52,10 +75,10 @@ export function createView3D(canvas, data) {
     drag: (dx, dy, state, pan) => rig.drag(dx, dy, state.camera, pan),
     zoom: (factor) => rig.zoom(factor),
     reset: () => rig.reset(),
-    resize(width, height) {
-      renderer.setPixelRatio(Math.min(window.devicePixelRatio, MOST_PIXELS));
-      renderer.setSize(width, height, false);
-      rig.resize(width, height);
+    resize(width, height, free) {
+      Object.assign(size, { width, height, ratio: Math.min(window.devicePixelRatio, MOST_PIXELS) });
+      fit();
+      rig.resize(width, height, free);
       trails.forEach((trail) => trail.resize(width, height));
     },
     theme(theme) {

@@ -65,10 +65,19 @@ function boxEdges(low, high) {
 export function createObstacles(scene, course) {
   const focus = { depth: { value: 0 }, centre: { value: new Vector3() } };
   const solid = seeThrough(new MeshLambertMaterial(), focus);
-  const shell = new MeshBasicMaterial({ transparent: true, opacity: 0.16, depthWrite: false });
+  const shell = new MeshBasicMaterial({ transparent: true, opacity: 0.2, depthWrite: false });
+  const nearest = new MeshBasicMaterial({ colorWrite: false }); // of overlapping spheres only the front shows
+  shell.onBeforeCompile = (shader) => { // no veil over the camera that is inside one
+    shader.fragmentShader = shader.fragmentShader.replace("#include <opaque_fragment>",
+      "diffuseColor.a *= smoothstep(1.0, 4.0, 1.0 / gl_FragCoord.w);\n#include <opaque_fragment>");
+  };
   const solids = shapes(scene).map(([geometry, matrices]) => instances(geometry, solid, matrices));
-  const shells = collisionShapes(scene, course.keepOut).map(([geometry, matrices]) => instances(geometry, shell, matrices));
-  for (const mesh of shells) mesh.renderOrder = 2;
+  const shells = collisionShapes(scene, course.keepOut).flatMap(([geometry, matrices]) =>
+    [nearest, shell].map((material, order) => {
+      const mesh = instances(geometry, material, matrices);
+      mesh.renderOrder = 5 + order; // after the trails, which would vanish behind their depth
+      return mesh;
+    }));
   return {
     objects: [...solids, ...shells],
     draw(drawn, withShells, depth, centre) {
@@ -146,7 +155,7 @@ function seeThrough(material, focus) {
             vec3 here = -vViewPosition;
             float off = length(here - line * dot(here, line));
             float keep = max(smoothstep(0.25, 0.9, off), smoothstep(focusDepth - 0.4, focusDepth + 0.2, depth));
-            keep = min(keep, smoothstep(0.3, 1.6, depth));
+            keep = min(keep, smoothstep(0.2, 0.8, depth));
             float grain = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715))));
             if (grain > 0.12 + keep) discard;
           }`);
