@@ -126,13 +126,8 @@ class Leases:
         return max(self._all(run), key=lambda seen: seen.generation, default=None)
 
     def _all(self, run: str) -> list[Seen]:
-        found = []
-        with suppress(OSError):
-            for path in sorted(self.folder.glob(f"{run}.*")):
-                with suppress(FileError):
-                    if path.suffix[1:].isdigit() and path.stem == run:
-                        found.append(Seen(path, read_limited(path, LIMIT)))
-        return found
+        paths = sorted(self.folder.glob(f"{run}.*"))
+        return [_look(path) for path in paths if path.suffix[1:].isdigit() and path.stem == run and path.exists()]
 
     def _dead(self, run: str, held: Seen) -> bool:
         if held.facts.get("machine") == self.machine and held.facts.get("locked") is True:
@@ -160,6 +155,13 @@ class Leases:
         finally:
             draft.unlink(missing_ok=True)
         return Lease(path, token, descriptor)
+
+
+def _look(path: Path) -> Seen:
+    try:
+        return Seen(path, read_limited(path, LIMIT))
+    except FileError:
+        return Seen(path, b"")  # what cannot be read is a lease that does not change
 
 
 def describe(seen: Seen) -> str:

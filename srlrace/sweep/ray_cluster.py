@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Sequence
+from contextlib import ExitStack
+from types import FrameType
 from typing import Any
 
 from srlrace.config import ConfigError
 from srlrace.console import clean, fail, say
+from srlrace.signals import handling
 from srlrace.sweep.crew import Forecast
 from srlrace.sweep.pace import Pace
 from srlrace.sweep.plan import Job, Plan
@@ -17,6 +20,7 @@ from srlrace.sweep.unit import Unit
 
 ATTEMPTS = 20  # how often a task may lose its worker or its node
 GB = 10**9  # bytes
+POLL = 5.0  # s within which a signal is noticed
 
 
 def run(plan: Plan, jobs: Sequence[Job], resources: Resources, side_by_side: int | None, pace: Pace) -> int:
@@ -27,16 +31,21 @@ def run(plan: Plan, jobs: Sequence[Job], resources: Resources, side_by_side: int
     cores = int(ray.cluster_resources().get("CPU", 1)) // (resources.cores or 1)
     forecast = Forecast(jobs, min(side_by_side or cores, cores) or 1, pace)
     waiting, working, failed = deque(jobs), dict[Any, Job](), 0
-    try:
+    with ExitStack() as stack:
+        stack.callback(ray.shutdown)  # the workers end with it, and what they train is saved
+        stack.enter_context(handling(_leave))
         while waiting or working:
             while waiting and len(working) < (side_by_side or len(jobs)):
                 job = waiting.popleft()
                 working[task.options(name=job.folder.id).remote(Unit(plan, job))] = job
-            for ended in ray.wait(list(working))[0]:
+            for ended in ray.wait(list(working), timeout=POLL)[0]:
                 failed += not _collect(ray, ended, working.pop(ended), forecast)
-    finally:
-        ray.shutdown()
     return int(bool(failed))
+
+
+def _leave(signum: int, frame: FrameType | None) -> None:
+    say("stopped; the same command continues")
+    raise SystemExit(128 + signum)
 
 
 def _work(unit: Unit) -> str:
@@ -57,17 +66,15 @@ def _collect(ray: Any, ended: Any, job: Job, forecast: Forecast) -> bool:
 def _connect() -> Any:
     """Connect to the cluster that ``RAY_ADDRESS`` names, or that runs on this machine, or start one of this machine."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no network unless asked for
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
         import ray
     except ImportError:
         raise ConfigError("--launcher: ray is not installed; install it with: pip install 'srlrace[ray]'") from None
-    options = {"configure_logging": False, "include_dashboard": False}
     try:
-        ray.init(address="auto", configure_logging=False)
+        ray.init(address="auto")
     except ConnectionError:
         if os.environ.get("RAY_ADDRESS"):
             raise ConfigError(f"RAY_ADDRESS: no Ray cluster at {os.environ['RAY_ADDRESS']!r}") from None
         say("no Ray cluster here: starting one on this machine, for this sweep")
-        ray.init(**options)
+        ray.init(include_dashboard=False)
     return ray
