@@ -2,6 +2,8 @@
 # make test    run the tests
 # make lint    ruff and mypy
 # make bench   throughput on this machine
+# make cluster          sweeps on a Slurm of this machine and on a Ray of two nodes, with failures (Debian, as root)
+# make cluster-scaling  what a sweep costs besides the runs: 1 and 2 workers, 10 000 run folders
 # make reference         publish the finished runs: runs/* to runs/reference/*, without checkpoints and recordings
 # make pictures RUN=...   the README's picture, from a run that was evaluated with a recording
 # Both build the same virtual environment first. PYTHON and VENV may be set on the command line.
@@ -13,7 +15,7 @@ STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum |
 NODE_MODULES := tests/readers/node_modules
 AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench pictures reference readers browser-tools clean
+.PHONY: demo test lint bench pictures reference readers browser-tools cluster cluster-scaling clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -66,6 +68,17 @@ $(STAMP):
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@rm -f $(VENV)/.installed-*
 	@touch $@
+
+# Installs Slurm from Debian's packages and the extras, starts daemons in temporary folders, and stops them again.
+cluster: $(STAMP)
+	@command -v slurmctld munged >/dev/null || (apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+		apt-get install -y -qq --no-install-recommends slurm-wlm munge >/dev/null) \
+		|| echo "no slurm-wlm: the tests of Slurm will be skipped"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[slurm,ray]'
+	SRLRACE_CLUSTER=1 $(BIN)/python -m pytest tests/cluster -v -rs
+
+cluster-scaling: $(STAMP)
+	$(BIN)/python tests/cluster/scaling.py
 
 clean:
 	rm -rf $(VENV) $(NODE_MODULES) $(AXE) .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -23,7 +24,7 @@ from srlrace.config import Config, ConfigError, parse_config, run_id
 from srlrace.console import say
 from srlrace.overrides import Request, check_arguments
 from srlrace.runs import RunFolder, State, runs_root
-from srlrace.signals import handling
+from srlrace.signals import handling, pass_on
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -154,6 +155,8 @@ def run_job(data: DictConfig) -> None:
 
     config = parse_config(_plain(data))
     status = train_run(config, Path(os.environ[RUNS]), json.loads(os.environ[ARGV]))
+    if status == 128 + signal.SIGUSR2:
+        pass_on(signal.SIGUSR2)  # submitit's handler starts the job anew, elsewhere or later
     alone = HydraConfig.get().mode is not RunMode.MULTIRUN
     if status and (alone or status > 128):  # one failed run of several does not stop the others; a signal does
         raise SystemExit(status)
