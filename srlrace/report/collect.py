@@ -15,6 +15,7 @@ from srlrace.runs import RunError, RunFolder, State, list_runs
 from srlrace.schema import SUITES, AlgoConfig, Config
 
 EPISODES_LIMIT = 64_000_000  # bytes: half a million episodes; more than this is not an evaluation
+GATES_LIMIT = 1_001_000  # a thousand laps of a thousand waypoints, the most that a track may have, and the first again
 CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts
 OUTCOMES = ("finished", "timeout", *CRASHES)
 
@@ -32,6 +33,10 @@ class Evaluation:
     finished: npt.NDArray[np.bool_]
     crashed: npt.NDArray[np.bool_]
     time_s: npt.NDArray[np.float64]  # lap time on lap tracks, else time to the last waypoint; NaN unless finished
+    total_time_s: npt.NDArray[np.float64]  # from the reset to the end of the course; NaN unless finished
+    outcome: npt.NDArray[np.str_]  # one of OUTCOMES
+    gates_passed: npt.NDArray[np.int64]
+    min_clearance_m: npt.NDArray[np.float64]  # from the hull to the nearest obstacle; NaN where nothing stands
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +95,8 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
     """Read ``eval/<suite>``; raises OSError, ValueError or OverflowError with what is wrong."""
     path = folder.file("eval", suite, "episodes.csv")
     timed = "lap_time_s" if config.env.laps else "time_s"
-    table = pd.read_csv(BytesIO(read_limited(path, EPISODES_LIMIT)), usecols=["episode", "map", "outcome", timed])
+    columns = {"episode", "map", "outcome", "gates_passed", "min_clearance_m", "time_s", timed}
+    table = pd.read_csv(BytesIO(read_limited(path, EPISODES_LIMIT)), usecols=sorted(columns))
     if table.empty:
         raise ValueError("no episode")
     unknown = set(table["outcome"]) - set(OUTCOMES)
@@ -110,7 +116,18 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
         finished=finished,
         crashed=table["outcome"].isin(CRASHES).to_numpy(),
         time_s=np.where(finished, time_s, np.nan),
+        total_time_s=np.where(finished, pd.to_numeric(table["time_s"]).to_numpy(dtype=np.float64), np.nan),
+        outcome=table["outcome"].to_numpy(dtype=np.str_),
+        gates_passed=_counts(table["gates_passed"]),
+        min_clearance_m=pd.to_numeric(table["min_clearance_m"]).to_numpy(dtype=np.float64),
     )
+
+
+def _counts(column: pd.Series) -> npt.NDArray[np.int64]:
+    counts = column.to_numpy(dtype=np.int64)
+    if not ((counts >= 0) & (counts <= GATES_LIMIT)).all():
+        raise ValueError("gates_passed out of range")
+    return counts
 
 
 def _evaluation_seed(folder: RunFolder, suite: str) -> int:

@@ -20,19 +20,25 @@ from srlrace.report.tables import build_report
 from srlrace.report.terminal import print_report
 
 FILES: dict[str, Callable[[Table], str]] = {"md": markdown_table, "csv": render_csv, "tex": latex_table}
-FORMATS = ("rich", *FILES)
+FORMATS = ("rich", *FILES, "html")
+PAGE = "report.html"
 
 
 def report(root: Path, format: str = "rich", out: Path | None = None, console: Console | None = None) -> None:
     """Show the tables of the runs below ``root``; with ``out``, also write tables and figures there.
 
-    Raises ExperimentError for a format that does not exist, a configuration error for an experiment file that does
-    not compose, OSError when ``out`` cannot be written.
+    The format html writes one page instead, into ``out`` or the current folder, and prints its path. Raises
+    ExperimentError for a format that does not exist, a configuration error for an experiment file that does not
+    compose, OSError when ``out`` cannot be written.
     """
     if format not in FORMATS:
         raise ExperimentError(f"--format takes {', '.join(FORMATS)}, not {format!r}")
     console = console or Console()
     runs, built = read_report(root)
+    if format == "html":
+        path = write_page(built, runs, (out or Path()) / PAGE)
+        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+        return
     if out is None or format == "rich":
         _show(built, format, console)
     if out is not None:
@@ -47,6 +53,16 @@ def read_report(root: Path) -> tuple[tuple[Run, ...], Report]:
         runs, load_experiments(folder / "experiment"), load_paper(folder / "paper.yaml"), row_config, problems
     )
     return runs, built
+
+
+def write_page(built: Report, runs: tuple[Run, ...], path: Path) -> Path:
+    """Write the report as one self-contained page."""
+    from srlrace.report.page import render_page  # matplotlib takes a second to import
+
+    page = render_page(built, runs, load_paper(conf_dir() / "paper.yaml"))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, page)
+    return path
 
 
 def _show(built: Report, format: str, console: Console) -> None:
@@ -67,7 +83,7 @@ def _write(built: Report, runs: tuple[Run, ...], format: str, out: Path, console
     out.mkdir(parents=True, exist_ok=True)
     formats = tuple(FILES) if format == "rich" else (format,)
     written = [_write_table(table, suffix, out) for table in built.tables for suffix in formats]
-    written += write_figures(built, runs, out / "figures")
+    written += write_figures(built, runs, out / "figures", fly=True)
     console.print(f"wrote {len(written)} files to {out}", markup=False, highlight=False)
 
 

@@ -21,9 +21,13 @@ def render_csv(table: Table) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
-    for cell in table.cells:
-        writer.writerow({key: _field(value) for key, value in zip(COLUMNS, _row(cell), strict=True)})
+    writer.writerows(map(fields, table.cells))
     return text.getvalue()
+
+
+def fields(cell: Cell) -> dict[str, str]:
+    """Return a cell's fields by column, as they are written."""
+    return {key: _field(value) for key, value in zip(COLUMNS, _row(cell), strict=True)}
 
 
 def _row(cell: Cell) -> tuple[Value, ...]:

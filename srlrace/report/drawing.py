@@ -1,29 +1,25 @@
-"""Draw a course: obstacles in grey with the margin that the drone's centre must keep, and gates, in 2D and 3D."""
+"""Draw a course in space and from above: obstacles, the margin that the drone's centre must keep, gates."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, FancyBboxPatch
-from matplotlib.patheffects import withStroke
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from mpl_toolkits.mplot3d.axes3d import Axes3D
+from matplotlib.patches import Circle, FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
 from srlrace.recording.flight import SceneObstacle
+from srlrace.report.projection import nearness, outline, project
+from srlrace.report.style import CAP, GATE, GRID, HALO, MUTED, SOLID
 from srlrace.schema import Config, TrackConfig
 
 Array = NDArray[np.float64]
 
-SOLID = "0.62"  # grey of the obstacle itself
-HALO = "0.88"  # grey of the margin around it
-GATE = "#D55E00"  # vermilion, from Okabe and Ito's palette: told apart from the speeds' blue to yellow
-LIT = withStroke(linewidth=2.5, foreground="white")  # keeps numbers readable over trajectories
-SIDES = 12  # facets around a cylinder in 3D
+SIDES = 24  # corners of a circle
+TILE = 5.0  # m between lines on the floor
 
 
 def keep_out(config: Config) -> float:
@@ -38,27 +34,58 @@ def obstacles_from_above(axes: Axes, obstacles: Sequence[SceneObstacle], margin:
             axes.add_patch(_outline(obstacle, inflation, colour, layer))
 
 
-def obstacles_in_space(axes: Axes3D, obstacles: Sequence[SceneObstacle]) -> None:
-    """Draw obstacles as translucent solids."""
-    faces = [face for obstacle in obstacles for face in _faces(obstacle)]
-    if faces:
-        axes.add_collection3d(Poly3DCollection(faces, facecolors=SOLID, edgecolors="none", alpha=0.22))
+def obstacles_in_space(axes: Axes, obstacles: Sequence[SceneObstacle]) -> None:
+    """Draw obstacles as translucent solids, each in the layer of its distance."""
+    for obstacle in obstacles:
+        rings = _rings(obstacle)
+        layer = layer_of(np.array([obstacle.center]))
+        axes.add_patch(Polygon(outline(np.concatenate(rings)), facecolor=SOLID, linewidth=0, alpha=0.6, zorder=layer))
+        if obstacle.kind != "sphere":
+            axes.add_patch(Polygon(project(rings[-1]), facecolor=CAP, linewidth=0, alpha=0.9, zorder=layer))
+
+
+def floor_in_space(axes: Axes, low: Array, high: Array) -> None:
+    """Draw the world's floor as a grid of squares of 5 m, with its length and width [m]."""
+    for axis in (0, 1):
+        ticks = np.arange(np.ceil(low[axis] / TILE) * TILE, high[axis] + 1e-6, TILE)
+        for value in ticks:
+            ends = np.array([[low[0], low[1], 0.0], [high[0], high[1], 0.0]])
+            ends[:, axis] = value
+            axes.plot(*project(ends).T, color=GRID, linewidth=0.6, zorder=0)
+    corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]])
+    axes.plot(*project(np.column_stack([corners, np.zeros(5)])).T, color=MUTED, linewidth=0.7, zorder=0)
+    for a, b in pairwise(corners[:3]):
+        x, y = project(np.array([*(a + b) / 2, 0.0]))
+        axes.annotate(f"{np.abs(b - a).sum():g} m", (x, y), xytext=(0, -4), textcoords="offset points", ha="center",
+                      va="top", fontsize=8, color=MUTED)  # fmt: skip
 
 
 def gates_from_above(axes: Axes, placed: Array, track: TrackConfig) -> None:
     """Draw waypoints where they were placed (w, 3) [m] with their passing radius, and number the track's own."""
     for x, y, _ in placed:
         axes.add_patch(Circle((x, y), track.passing_radius, fill=False, edgecolor=GATE, linewidth=1.2, zorder=4))
-    style: dict[str, Any] = {"color": GATE, "fontsize": 9, "zorder": 5, "path_effects": [LIT]}
-    for number, (x, y, _) in enumerate(track.waypoints, start=1):
-        axes.annotate(str(number), (x, y), xytext=(5, 5), textcoords="offset points", **style)
+    _number(axes, [(x, y) for x, y, _ in track.waypoints], 5)
 
 
-def gates_in_space(axes: Axes3D, waypoints: Array) -> None:
+def gates_in_space(axes: Axes, placed: Array, track: TrackConfig) -> None:
     """Mark waypoints (w, 3) [m], each on a thin stem from the floor, without which its place is hard to see."""
-    axes.scatter(*waypoints.T, color=GATE, s=18, depthshade=False)
-    for x, y, z in waypoints:
-        axes.plot([x, x], [y, y], [0, z], color=GATE, linewidth=0.6, alpha=0.6)
+    for waypoint in placed:
+        stem = np.array([[*waypoint[:2], 0.0], waypoint])
+        axes.plot(*project(stem).T, color=GATE, linewidth=0.7, alpha=0.7, zorder=layer_of(stem))
+    flat = project(np.array(placed))
+    axes.plot(*flat.T, "o", color=GATE, markersize=4.0, fillstyle="none", markeredgewidth=1.3, zorder=200)
+    _number(axes, [tuple(place) for place in project(np.array(track.waypoints))], 201)
+
+
+def layer_of(points: Array) -> float:
+    """Return the layer, among those from 10 to 190, in which something at points (n, 3) [m] is drawn: near over far."""
+    return float(np.clip(100.0 + nearness(points).mean(), 10.0, 190.0))
+
+
+def _number(axes: Axes, places: Sequence[tuple[float, float]], layer: float) -> None:
+    style: dict[str, Any] = {"color": GATE, "fontsize": 8.5, "fontweight": "bold", "zorder": layer}
+    for number, place in enumerate(places, start=1):
+        axes.annotate(str(number), place, xytext=(4, 4), textcoords="offset points", **style)
 
 
 def _outline(obstacle: SceneObstacle, inflation: float, colour: str, layer: int) -> Circle | FancyBboxPatch:
@@ -71,21 +98,16 @@ def _outline(obstacle: SceneObstacle, inflation: float, colour: str, layer: int)
     return FancyBboxPatch((x - half, y - half), obstacle.edge, obstacle.edge, boxstyle=rounding, **style)
 
 
-def _faces(obstacle: SceneObstacle) -> Iterator[Array]:
-    """Yield polygons (corners, 3) of the obstacle's surface."""
-    centre = np.array(obstacle.center)
-    angles = np.linspace(0, 2 * np.pi, SIDES + 1)
+def _rings(obstacle: SceneObstacle) -> list[Array]:
+    """Return polygons (corners, 3) around the obstacle, lowest first, whose hull is its shape."""
+    angles = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
     if obstacle.kind == "sphere":
         latitudes = np.linspace(-np.pi / 2, np.pi / 2, SIDES // 2 + 1)
         rings = [(obstacle.radius * np.cos(a), obstacle.radius * np.sin(a)) for a in latitudes]
     elif obstacle.kind == "cylinder":
         rings = [(obstacle.radius, -obstacle.height / 2), (obstacle.radius, obstacle.height / 2)]
     else:
-        angles = np.pi / 4 + np.linspace(0, 2 * np.pi, 5)
+        angles = np.pi / 4 + np.linspace(0, 2 * np.pi, 4, endpoint=False)
         rings = [(obstacle.edge / np.sqrt(2), sign * obstacle.edge / 2) for sign in (-1, 1)]
-    circles = [np.stack([r * np.cos(angles), r * np.sin(angles), np.full_like(angles, z)], axis=1) for r, z in rings]
-    for low, high in pairwise(circles):
-        for i in range(len(angles) - 1):
-            yield centre + np.stack([low[i], low[i + 1], high[i + 1], high[i]])
-    if obstacle.kind != "sphere":
-        yield centre + circles[-1][:-1]
+    circles = (np.stack([r * np.cos(angles), r * np.sin(angles), np.full_like(angles, z)], axis=1) for r, z in rings)
+    return [np.array(obstacle.center) + circle for circle in circles]

@@ -1,78 +1,127 @@
-"""Write the report's figures, each as PNG for the screen and PDF for a paper."""
+"""The figures of a report: which there are, and writing them as PNG, SVG and, for a paper, PDF."""
 
 from __future__ import annotations
 
-import logging
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, groupby
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from srlrace.recording.archive import CorruptRecording
-from srlrace.report.collect import Run
-from srlrace.report.learning_figure import learning_figure, read_progress
+from srlrace.report.collect import Evaluation, Run
+from srlrace.report.courses import find_course
+from srlrace.report.learning_figure import learning_plot, read_progress, reward_plot
 from srlrace.report.model import Cell, Report, Table
-from srlrace.report.trajectory_figure import read_course, trajectory_figure
-from srlrace.runs import RunError, RunFolder
+from srlrace.report.plots import Plot, figure_of
+from srlrace.report.results_figure import flights_plot, results_plot
+from srlrace.report.style import styled
+from srlrace.report.trajectory_figure import trajectory_plot
 
 RESOLUTION = 160  # dots per inch of the PNG
+FORMATS: dict[str, dict[str, None]] = {  # without dates: the same figure is the same file
+    "png": {},
+    "pdf": {"CreationDate": None},
+    "svg": {"Date": None},
+}
 
-logger = logging.getLogger(__name__)
+
+@dataclass(frozen=True)
+class Group:
+    """The filled cells of a table in one environment, on one suite."""
+
+    table: Table
+    environment: str
+    suite: str
+    cells: tuple[Cell, ...]
+
+    @property
+    def name(self) -> str:
+        """Beginning of the names of its figures."""
+        return f"{self.table.experiment.name}-{_slug(self.environment)}"
+
+    @property
+    def title(self) -> str:
+        """Title of its figures."""
+        return f"{self.environment}: {self.table.experiment.title[:1].lower()}{self.table.experiment.title[1:]}"
 
 
-def write_figures(report: Report, runs: Sequence[Run], folder: Path) -> list[Path]:
-    """Write learning curves per table and environment, and trajectories of runs whose evaluation was recorded.
+def groups(table: Table) -> Iterator[Group]:
+    """Yield the filled cells of a table by environment and suite."""
+    filled = (cell for cell in table.cells if cell.runs)
+    for (environment, suite), cells in groupby(filled, key=lambda cell: (cell.environment, cell.suite)):
+        yield Group(table, environment, suite, tuple(cells))
 
-    Of a cell's runs the first seed is drawn. Returns the files; what cannot be read is logged and left out.
+
+def report_plots(report: Report, runs: Sequence[Run], fly: bool = False) -> Iterator[tuple[Table, list[Plot]]]:
+    """Yield each table with its plots; what an earlier table showed is not shown again.
+
+    With ``fly``, runs without a recording fly a few episodes again, which takes torch and seconds.
     """
     known = {run.id: run for run in runs}
-    shown = [(cell.runs[0], cell.suite) for table in report.tables for cell in table.cells if cell.runs]
-    shown += [(other.run, other.suite) for other in report.others]
-    figures = chain(
-        chain.from_iterable(_learning_figures(table, known) for table in report.tables),
-        _trajectory_figures(dict.fromkeys(shown), known),
-    )
-    return [path for name, figure in figures for path in save(figure, folder / name)]
+    drawn: set[tuple[str, str]] = set()
+    for table in report.tables:
+        results = results_plot(table)
+        yield table, [*([results] if results else []), *_group_plots(table, known, drawn, fly)]
+
+
+def _group_plots(table: Table, known: dict[str, Run], drawn: set[tuple[str, str]], fly: bool) -> Iterator[Plot]:
+    for group in groups(table):
+        fresh = {(run, cell.suite) for cell in group.cells for run in cell.runs} - drawn
+        if fresh:
+            yield from _trajectories(group, known, drawn, fly)
+            drawn |= fresh
+            yield flights_plot(_flown(group, known), f"{group.name}-flights", group.title, group.cells[0].t_ref_s)
+            if group.suite == table.experiment.suites[0]:  # the runs of other suites are the same
+                yield from _learning(group, known)
+
+
+def write_figures(report: Report, runs: Sequence[Run], folder: Path, fly: bool = False) -> list[Path]:
+    """Write every figure there is data for; what cannot be read is logged and left out. Returns the files."""
+    known = {run.id: run for run in runs}
+    written = []
+    with styled():
+        plots = [plot for _, found in report_plots(report, runs, fly) for plot in found]
+        for other in report.others:
+            course = find_course(known[other.run], other.suite)
+            if course:
+                name = f"{other.run}-{other.suite}"
+                plots.append(trajectory_plot({other.run: course}, f"{name}-trajectories", name))
+        for plot in plots:
+            written += save(figure_of(plot), folder / plot.name)
+    return written
 
 
 def save(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and PDF beside each other, without dates, so that the same figure is the same file."""
+    """Write a figure in every format, beside each other."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    targets = [path.with_name(f"{path.name}.{suffix}") for suffix in ("png", "pdf")]
-    figure.savefig(targets[0], dpi=RESOLUTION)
-    figure.savefig(targets[1], metadata={"CreationDate": None})
+    targets = [path.with_name(f"{path.name}.{suffix}") for suffix in FORMATS]
+    for target, metadata in zip(targets, FORMATS.values(), strict=True):
+        figure.savefig(target, dpi=RESOLUTION, metadata=metadata)
     return targets
 
 
-def _learning_figures(table: Table, known: dict[str, Run]) -> Iterator[tuple[str, Figure]]:
-    filled = [cell for cell in table.cells if cell.runs and cell.suite == table.experiment.suites[0]]
-    for environment, cells in groupby(filled, key=_environment):
-        methods = {cell.method: [known[run] for run in cell.runs] for cell in cells}
-        frames = {method: [read_progress(run) for run in runs] for method, runs in methods.items()}
-        drawn = {method: [frame for frame in found if frame is not None] for method, found in frames.items()}
-        drawn = {method: found for method, found in drawn.items() if found}
-        if drawn:
-            name = f"{table.experiment.name}-{_slug(environment)}-learning"
-            yield name, learning_figure(drawn, f"{table.experiment.title}, {environment}")
+def _trajectories(group: Group, known: dict[str, Run], drawn: set[tuple[str, str]], fly: bool) -> Iterator[Plot]:
+    """Draw the first seed of each cell: flights of several would hide each other."""
+    cells = [cell for cell in group.cells if (cell.runs[0], cell.suite) not in drawn]
+    found = {cell.method: find_course(known[cell.runs[0]], cell.suite, fly) for cell in cells}
+    courses = {method: course for method, course in found.items() if course}
+    if courses:
+        yield trajectory_plot(courses, f"{group.name}-trajectories", group.title)
 
 
-def _trajectory_figures(chosen: Iterable[tuple[str, str]], known: dict[str, Run]) -> Iterator[tuple[str, Figure]]:
-    for run_id, suite in chosen:
-        run = known[run_id]
-        try:
-            recording = RunFolder(run.path).file("eval", suite, "trajectories.mcap")
-            if recording.is_file():
-                course = read_course(recording)
-                title = f"{run.id}, {suite}: {len(course.flights)} flights"
-                yield f"{run.id}-{suite}", trajectory_figure(course, run.config, title)
-        except (CorruptRecording, RunError, OSError) as error:
-            logger.warning("no trajectories of %s, %s: %s", run_id, suite, error)
+def _flown(group: Group, known: dict[str, Run]) -> dict[str, list[Evaluation]]:
+    return {cell.method: [known[run].evaluations[cell.suite] for run in cell.runs] for cell in group.cells}
 
 
-def _environment(cell: Cell) -> str:
-    return cell.environment.split(", unseen level")[0]
+def _learning(group: Group, known: dict[str, Run]) -> Iterator[Plot]:
+    frames = {cell.method: [read_progress(known[run]) for run in cell.runs] for cell in group.cells}
+    drawn = {method: [frame for frame in found if frame is not None] for method, found in frames.items()}
+    drawn = {method: found for method, found in drawn.items() if found}
+    if drawn:
+        yield learning_plot(drawn, f"{group.name}-learning", group.title)
+        yield reward_plot(drawn, f"{group.name}-reward", group.title)
 
 
 def _slug(text: str) -> str:

@@ -1,7 +1,7 @@
 """Which configuration a row of a table means, read from the presets without starting Hydra.
 
-Hydra takes a tenth of a second for each row, two thirds of a report's time. Rows choose presets and little else, which is
-quickly done by hand; a test holds the result against Hydra's for every row there is, and whatever is not understood
+Hydra takes a tenth of a second for each row, two thirds of a report's time. Rows choose presets and little else, which
+is quickly done by hand; a test holds the result against Hydra's for every row there is, and whatever is not understood
 here goes to Hydra.
 """
 

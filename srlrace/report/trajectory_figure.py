@@ -2,135 +2,142 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
-from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
-from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
-from srlrace.recording.flight import SceneObstacle
-from srlrace.recording.reader import read_episodes, read_flight
-from srlrace.report.drawing import gates_from_above, gates_in_space, keep_out, obstacles_from_above, obstacles_in_space
-from srlrace.schema import Config
+from srlrace.report.courses import Course, Trajectory
+from srlrace.report.drawing import (
+    floor_in_space,
+    gates_from_above,
+    gates_in_space,
+    keep_out,
+    layer_of,
+    obstacles_from_above,
+    obstacles_in_space,
+)
+from srlrace.report.plots import Key, Panel, Plot
+from srlrace.report.projection import project
+from srlrace.report.style import GATE, INK, MUTED, SOLID, SPEEDS
 
 Array = NDArray[np.float64]
 
-FLIGHTS = 20  # trajectories in one figure: more hide each other
-VIRIDIS = ((0.267, 0.005, 0.329), (0.191, 0.407, 0.556), (0.208, 0.719, 0.473), (0.876, 0.891, 0.095))
-SPEED_COLOURS = LinearSegmentedColormap.from_list("speed", VIRIDIS)  # colour-blind safe, ordered in greyscale too
-CRASH = "black"
-WIDE = 1.4  # x over y extent of a world
+WIDTH = 5.2  # inches of a view
+TOLERANCE = 0.02  # m by which a drawn path may leave the flown one: a tenth of a line's width on paper
+ROOM = 4.0  # m around the flights that is shown
+SPEED_STEP = 1.0  # m/s to which the upper end of the scale is rounded
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """One flight: position and speed over time."""
-
-    position: Array  # (t, 3) m, world
-    speed: Array  # (t,) m/s
-    crashed: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Course:
-    """Flights on one map, with what stands there."""
-
-    flights: tuple[Trajectory, ...]
-    waypoints: Array  # (w, 3) m, world; every place at which a waypoint stood in some flight
-    obstacles: tuple[SceneObstacle, ...]
-
-
-def read_course(recording: Path, flights: int = FLIGHTS) -> Course:
-    """Read the first flights of a recording that share its first map.
-
-    Raises CorruptRecording for a damaged file, OSError for an unreadable one.
-    """
-    episodes = read_episodes(recording)
-    chosen = episodes.loc[episodes["map"] == episodes["map"].iloc[0], "episode"]
-    loaded = []
-    for episode in chosen:
-        try:
-            loaded.append(read_flight(recording, int(episode)))
-        except KeyError:  # only the first episodes of an evaluation may have been recorded
-            break
-        if len(loaded) == flights:
-            break
-    if not loaded:
-        raise FileNotFoundError(f"{recording} holds no flight")
-    trajectories = tuple(
-        Trajectory(flight.position_w, np.linalg.norm(flight.velocity_w, axis=1), flight.outcome != "finished")
-        for flight in loaded
-    )
-    placed = np.unique(np.concatenate([flight.waypoints for flight in loaded]), axis=0)
-    return Course(trajectories, placed, loaded[0].scene)
-
-
-def trajectory_figure(course: Course, config: Config, title: str) -> Figure:
-    """Draw a course in space and from above, on white, for the screen and for print."""
-    extent = np.subtract(config.env.bounds_high, config.env.bounds_low)
-    wide = extent[0] > WIDE * extent[1]  # then the views stand one above the other
-    figure = Figure(figsize=(8.0, 7.6) if wide else (11.0, 5.0), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.25)  # type: ignore[union-attr, call-arg]
-    rows, columns = (2, 1) if wide else (1, 2)
-    space = figure.add_subplot(rows, columns, 1, projection="3d")
-    above = figure.add_subplot(rows, columns, 2)
-    assert isinstance(space, Axes3D)
-    scale = Normalize(0.0, max(float(flight.speed.max()) for flight in course.flights))
-    _draw_space(space, course, config, scale)
-    _draw_above(above, course, config, scale)
-    figure.colorbar(ScalarMappable(scale, SPEED_COLOURS), ax=above, label="speed (m/s)", shrink=0.8, pad=0.01)
-    figure.suptitle(title, fontsize=10)
-    return figure
-
-
-def _draw_space(axes: Axes3D, course: Course, config: Config, scale: Normalize) -> None:
-    obstacles_in_space(axes, course.obstacles)
-    gates_in_space(axes, course.waypoints)
-    for flight in course.flights:
-        lines = Line3DCollection(_segments(flight.position), cmap=SPEED_COLOURS, norm=scale, linewidths=1.0)
-        lines.set_array(flight.speed[1:])
-        axes.add_collection3d(lines, autolim=False)
-    low, high = np.array(config.env.bounds_low), np.array(config.env.bounds_high)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    axes.set_box_aspect(high - low, zoom=1.3)  # more would cut the far corners off
-    axes.view_init(elev=32, azim=-65)
-    axes.tick_params(labelsize=7, pad=0)
-    axes.locator_params(axis="z", nbins=3)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-
-
-def _draw_above(axes: Axes, course: Course, config: Config, scale: Normalize) -> None:
-    obstacles_from_above(axes, course.obstacles, keep_out(config))
-    gates_from_above(axes, course.waypoints, config.env)
-    for flight in course.flights:
-        lines = LineCollection(
-            _segments(flight.position[:, :2]), cmap=SPEED_COLOURS, norm=scale, linewidths=1.0, zorder=3
+def trajectory_plot(courses: Mapping[str, Course], name: str, title: str) -> Plot:
+    """Return each method's flights in space and from above; all share one scale of speed."""
+    top = SPEED_STEP * np.ceil(max(course.top_speed for course in courses.values()) / SPEED_STEP)
+    window = _window(list(courses.values()))
+    panels: list[Panel] = []
+    for method, course in courses.items():
+        text = f"{len(course.flights)} flights of {method} past {len(course.obstacles)} obstacles, {course.origin}"
+        panels.append(
+            Panel(partial(_draw_space, course, window, method, top), f"{text}; in space", _space_size(window))
         )
-        lines.set_array(flight.speed[1:])
-        axes.add_collection(lines)
-    _mark_crashes(axes, course.flights)
-    low, high = config.env.bounds_low, config.env.bounds_high
+        panels.append(
+            Panel(partial(_draw_above, course, window, method, top), f"{text}; from above", _above_size(window))
+        )
+    origins = "; ".join(f"{method}: {course.origin}" for method, course in courses.items())
+    caption = (
+        "Coloured by speed; obstacles grey, around them from above the margin that the drone's centre has to keep; "
+        f"waypoints numbered in the order of passing, drawn wherever they stood in one of the flights. {origins}."
+    )
+    keys = (
+        Key("waypoint", GATE, marker="o"),
+        Key("obstacle", SOLID, marker="s"),
+        Key("did not finish", INK, marker="x"),
+    )
+    return Plot(name, title, caption, tuple(panels), columns=2, keys=keys, speed_mps=float(top))
+
+
+def _space_size(window: Array) -> tuple[float, float]:
+    extent = np.ptp(project(_corners(window)), axis=0)
+    return WIDTH, float(WIDTH * extent[1] / extent[0] + 0.35)
+
+
+def _above_size(window: Array) -> tuple[float, float]:
+    extent = np.ptp(window, axis=0)
+    return WIDTH, float(min(1.3, extent[1] / extent[0]) * WIDTH * 0.9 + 0.65)
+
+
+def _window(courses: Sequence[Course]) -> Array:
+    """Return the lower and upper corner (2, 3) [m] of what is shown: the flights, with some room, inside the world."""
+    flights = [flight.position for course in courses for flight in course.flights]
+    places = np.concatenate([course.waypoints for course in courses] + flights)
+    bounds = np.array([courses[0].config.env.bounds_low, courses[0].config.env.bounds_high])
+    window = np.stack([places.min(axis=0) - ROOM, places.max(axis=0) + ROOM]).round()
+    window = np.clip(window, bounds[0], bounds[1])
+    return np.column_stack([window[:, :2], bounds[:, 2]])
+
+
+def _corners(window: Array) -> Array:
+    (x0, y0, z0), (x1, y1, z1) = window
+    return np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)])
+
+
+def _draw_space(course: Course, window: Array, title: str, top: float, axes: Axes) -> None:
+    low, high = window
+    floor_in_space(axes, low, high)
+    shown = [o for o in course.obstacles if np.all(low[:2] <= o.center[:2]) and np.all(o.center[:2] <= high[:2])]
+    obstacles_in_space(axes, shown)
+    for flight in course.flights:
+        shadow = flight.position * [1.0, 1.0, 0.0]
+        axes.plot(*project(shadow[_needed(shadow)]).T, color=MUTED, linewidth=0.5, alpha=0.35, zorder=1)
+        for piece, colour in pieces(flight, top):
+            axes.plot(*project(piece).T, color=colour, linewidth=1.15, zorder=layer_of(piece))
+    gates_in_space(axes, course.waypoints, course.config.env)
+    _mark_crashes(axes, course.flights, in_space=True)
+    axes.set_axis_off()
+    axes.set(aspect="equal", title=title)
+
+
+def _draw_above(course: Course, window: Array, title: str, top: float, axes: Axes) -> None:
+    obstacles_from_above(axes, course.obstacles, keep_out(course.config))
+    gates_from_above(axes, course.waypoints, course.config.env)
+    for flight in course.flights:
+        for piece, colour in pieces(flight, top):
+            axes.plot(*piece[:, :2].T, color=colour, linewidth=1.15, zorder=3)
+    _mark_crashes(axes, course.flights, in_space=False)
+    low, high = window
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.set_title(f"{title}, from above")
 
 
-def _mark_crashes(axes: Axes, flights: Sequence[Trajectory]) -> None:
-    ends = np.array([flight.position[-1, :2] for flight in flights if flight.crashed])
+def pieces(flight: Trajectory, top: float) -> Iterator[tuple[Array, str]]:
+    """Yield stretches (k, 3) of a path with the colour of their speed, on a scale from 0 to ``top`` m/s."""
+    bins = np.clip((flight.speed * len(SPEEDS) / top).astype(int), 0, len(SPEEDS) - 1)[1:]
+    ends = np.flatnonzero(np.diff(bins)) + 1
+    for begin, end in zip([0, *ends], [*ends, len(bins)], strict=True):
+        stretch = flight.position[begin : end + 1]
+        yield stretch[_needed(stretch)], SPEEDS[bins[begin]]
+
+
+def _needed(path: Array) -> list[int]:
+    """Return the points of a path (n, 3) that draw it to within the tolerance (Douglas and Peucker's rule)."""
+    kept, open_ = {0, len(path) - 1}, [(0, len(path) - 1)]
+    while open_:
+        begin, end = open_.pop()
+        if end - begin < 2:
+            continue
+        chord, inner = path[end] - path[begin], path[begin + 1 : end] - path[begin]
+        along = np.clip(inner @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
+        away = np.linalg.norm(inner - along[:, None] * chord, axis=1)
+        if away.max() > TOLERANCE:
+            middle = begin + 1 + int(away.argmax())
+            kept.add(middle)
+            open_ += [(begin, middle), (middle, end)]
+    return sorted(kept)
+
+
+def _mark_crashes(axes: Axes, flights: Sequence[Trajectory], in_space: bool) -> None:
+    ends = np.array([flight.position[-1] for flight in flights if flight.crashed])
     if len(ends):
-        axes.scatter(ends[:, 0], ends[:, 1], marker="x", color=CRASH, s=28, zorder=6, label="did not finish")
-        axes.legend(loc="lower right", fontsize=7, frameon=True)
-
-
-def _segments(points: Array) -> Any:
-    """Return (t - 1, 2, d) line segments of a polyline (t, d)."""
-    return np.stack([points[:-1], points[1:]], axis=1)
+        flat = project(ends) if in_space else ends[:, :2]
+        axes.plot(*flat.T, "x", color=INK, markersize=6, markeredgewidth=1.4, zorder=202, label="did not finish")

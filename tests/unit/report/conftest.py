@@ -48,6 +48,10 @@ def evaluation(times: list[float | None], suite: str = "train_map", maps: list[i
         finished=finished,
         crashed=~finished,
         time_s=np.array([np.nan if time is None else time for time in times]),
+        total_time_s=np.array([np.nan if time is None else time for time in times]),
+        outcome=np.where(finished, "finished", "crashed"),
+        gates_passed=np.where(finished, 9, 4),
+        min_clearance_m=np.full(count, 0.5),
     )
 
 
