@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
 from rich.text import Text
@@ -42,3 +48,36 @@ def setup_logging() -> None:
         logger.addHandler(_Handler())
     logger.setLevel(logging.INFO)
     logger.propagate = False
+
+
+class _Plain(logging.Formatter):
+    """One line a record, dated in UTC, without anything that could move a cursor."""
+
+    def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:
+        """Return when it happened, to the second."""
+        return datetime.fromtimestamp(record.created, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+    def format(self, record: logging.LogRecord) -> str:
+        return clean(" ".join(super().format(record).split("\n")))
+
+
+class _Lines(logging.StreamHandler[TextIO] if TYPE_CHECKING else logging.StreamHandler):  # type: ignore[misc]
+    """Records as lines of a file; a disk that takes no more of them stops nothing that matters."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Lose the record."""
+
+
+@contextmanager
+def logged(path: Path) -> Iterator[logging.Handler]:
+    """Append the package's log records to a file while the ``with`` statement lasts; a link raises OSError."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    logger = logging.getLogger("srlrace")
+    with os.fdopen(os.open(path, flags, 0o644), "a", encoding="utf-8") as stream:
+        handler = _Lines(stream)
+        handler.setFormatter(_Plain("%(asctime)s %(levelname)-7s %(message)s"))
+        logger.addHandler(handler)
+        try:
+            yield handler
+        finally:
+            logger.removeHandler(handler)

@@ -1,23 +1,17 @@
-"""What a training reports while it runs: ``progress.csv``, TensorBoard, a progress bar or plain lines."""
+"""What a training reports while it runs: ``progress.csv`` and TensorBoard."""
 
 from __future__ import annotations
 
 import csv
 import io
-import logging
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from srlrace.task.reward import TERMS
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
-
-logger = logging.getLogger(__name__)
 
 LEARNER = ("approx_kl", "clip_fraction", "value_loss", "policy_gradient_loss", "explained_variance", "std")
 COLUMNS = (
@@ -38,8 +32,6 @@ COLUMNS = (
     "learning_rate",
     *(f"train/{name}" for name in LEARNER),
 )
-LINE_EVERY = 10.0  # s between plain lines where there is no terminal
-BAR_WIDTH = 10  # characters: with the figures the line just fits a terminal of 80
 
 
 def outcome_ratios(ledger: dict[str, float], steps: int) -> dict[str, float | None]:
@@ -97,43 +89,6 @@ class ProgressFile:
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
-
-
-class Display:
-    """A progress bar on a terminal, plain lines elsewhere."""
-
-    def __init__(self, label: str, total: int, console: Console | None = None) -> None:
-        self._console = console or Console(stderr=True)
-        self._label = label
-        self._total = total
-        self._last_line = -LINE_EVERY
-        self._bar = Progress(
-            BarColumn(bar_width=BAR_WIDTH),
-            TextColumn("{task.percentage:3.0f}%"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[figures]}", markup=False),
-            console=self._console,
-            transient=True,
-            disable=not self._console.is_terminal,
-        )
-        self._task = self._bar.add_task("", total=total, figures="")
-
-    def __enter__(self) -> Display:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._bar.stop()
-
-    def show(self, row: dict[str, Any]) -> None:
-        """Show the newest row of progress."""
-        figures = figures_text(row)
-        self._bar.update(self._task, completed=row["steps"], figures=figures)
-        due = row["wall_s"] - self._last_line >= LINE_EVERY or row["steps"] >= self._total
-        if not self._console.is_terminal and due:
-            self._last_line = row["wall_s"]
-            percent = 100 * row["steps"] / self._total
-            logger.info("%s  %3.0f%%  %.2f M steps  %s", self._label, percent, row["steps"] / 1e6, figures)
 
 
 def figures_text(row: dict[str, Any]) -> str:

@@ -20,11 +20,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from srlrace.config import Config, ConfigError, load_config, run_id, to_dict
 from srlrace.files import atomic_write, naming, read_limited, write_sealed
 from srlrace.learn.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from srlrace.learn.display import Display
 from srlrace.learn.finite import Diverged, check_rollout, check_update
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.policy import save_policy
 from srlrace.learn.ppo import build_ppo, capture, reinstate
-from srlrace.learn.progress import LEARNER, Display, ProgressFile, outcome_ratios, write_scalars
+from srlrace.learn.progress import LEARNER, ProgressFile, outcome_ratios, write_scalars
 from srlrace.provenance import changes, circumstances, provenance
 from srlrace.runs import DIGEST, RunFolder
 from srlrace.task.reward import TERMS
@@ -208,7 +209,7 @@ def begin_run(config: Config, folder: RunFolder, argv: Sequence[str]) -> None:
 
 def attempt(config: Config, folder: RunFolder, request: StopRequest) -> float:
     """Train in a folder that is ours until the budget is spent; return the seconds it took."""
-    with Display(folder.id, config.algo.total_steps) as display:
+    with Display(config, folder.path) as display:
         training = Training(config, folder, display, request)
         try:
             training.run()
