@@ -26,12 +26,14 @@ def check(config: Config) -> None:
 
 
 def _check_curriculum(curriculum: CurriculumConfig) -> None:
-    staged = curriculum.gate_starts + curriculum.memory_starts
+    staged = curriculum.gate_starts + curriculum.memory_starts + curriculum.retry_starts
     if staged > 1.0:
-        raise ConfigError(f"curriculum.gate_starts: with curriculum.memory_starts it makes {staged:g}; takes at most 1")
-    if curriculum.cost_hold > curriculum.cost_ramp:
-        hold, ramp = curriculum.cost_hold, curriculum.cost_ramp
-        raise ConfigError(f"curriculum.cost_hold: got {hold:g}; takes at most curriculum.cost_ramp, which is {ramp:g}")
+        others = "curriculum.memory_starts and curriculum.retry_starts"
+        raise ConfigError(f"curriculum.gate_starts: with {others} it makes {staged:g}; takes at most 1")
+    for first, last in (("cost_hold", "cost_ramp"), ("staged_hold", "staged_end")):
+        begin, end = getattr(curriculum, first), getattr(curriculum, last)
+        if begin > end:
+            raise ConfigError(f"curriculum.{first}: got {begin:g}; takes at most curriculum.{last}, which is {end:g}")
 
 
 def _check_track(track: TrackConfig) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from srlrace.config import Config
 from srlrace.hydra_bridge import compose
+from srlrace.task.observation import SPEED_SCALE, TARGET_SCALE
 from srlrace.task.race import Race, RaceMode
 
 # Random examples look for new failures while developing; CI repeats the same ones.
@@ -22,7 +23,6 @@ if os.environ.get("CI"):
 GRAVITY = 9.81  # m/s^2
 COLLECTIVE = 4 * 8.505 / 0.752  # m/s^2, all rotors at their limit (conf/quad/kingfisher.yaml)
 RATES = np.array([6.0, 6.0, 2.0])  # rad/s, same file
-METRES = 10.0  # of one unit of observed length and, per second, of observed speed
 
 
 @functools.cache
@@ -70,8 +70,8 @@ def pilot_action(observation: Any) -> Any:
     song = observation.shape[1] == 18
     rotation, velocity, target = (3, 0, 12) if song else (3, 12, 18)
     body_to_world = observation[:, rotation : rotation + 9].reshape(-1, 3, 3).astype(float)
-    v = observation[:, velocity : velocity + 3] * METRES
-    to = observation[:, target : target + 3] * METRES
+    v = observation[:, velocity : velocity + 3] * SPEED_SCALE
+    to = observation[:, target : target + 3] * TARGET_SCALE
     far = np.linalg.norm(to, axis=1, keepdims=True)
     pull = 3.0 * (to / far * np.minimum(8.0, 2.0 + 1.5 * far) - v)
     pull *= np.minimum(1.0, 15.0 / np.linalg.norm(pull, axis=1, keepdims=True))

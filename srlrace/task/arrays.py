@@ -64,6 +64,7 @@ class Rules(NamedTuple):
     thrust_spread: float
     gate_starts: float  # share of resets near a random waypoint
     memory_starts: float  # share of resets from a remembered passing
+    retry_starts: float  # share of resets from a start from which an earlier episode failed
     autoreset: bool
 
 
@@ -82,13 +83,16 @@ class Fleet(NamedTuple):
     staged: NDArray[np.bool_]  # (n,) started elsewhere than at the start: not counted in the ledger
     parked: NDArray[np.bool_]  # (n,) episode over and no autoreset
     streams: NDArray[np.uint64]  # (2, n) random numbers
+    start_streams: NDArray[np.uint64]  # (2, n) as they were before the episode's start was drawn
 
 
 class Memory(NamedTuple):
-    """States in which earlier episodes passed a waypoint, one ring per target."""
+    """States in which earlier episodes passed a waypoint, one ring per target; starts of failed episodes, one ring."""
 
     record: Floats  # (k, capacity, record size)
     count: NDArray[np.int64]  # type: ignore[assignment]  # (k,) passings ever written to each ring; hides tuple.count
+    failed: NDArray[np.uint64]  # (2, capacity) streams from which such a start was drawn
+    failures: NDArray[np.int64]  # (1,) failed starts ever written
 
 
 class Output(NamedTuple):

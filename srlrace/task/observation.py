@@ -1,17 +1,17 @@
 """The observation: named blocks, concatenated in the order of `ObservationConfig.blocks`.
 
-======================  ======  =====================================================  ==================
-block                   values  meaning                                                scale
-======================  ======  =====================================================  ==================
-position                3       position, world frame                                  `LENGTH`
-rotation                9       rotation matrix body to world, row by row              1
-velocity                3       velocity, world frame                                  `SPEED`
-body_rate               3       body rates                                             `RATE`
-targets                 3 j     next j waypoints minus position, world frame           `LENGTH`
-obstacle_distances      N       centre distances, nearest first, padded with the range  `CLEARANCE`
-obstacle_vectors        4 N     unit vector to the centre (world) and that distance    1, `CLEARANCE`
-rays                    R       exp(-d / ray_scale) along fixed world directions       1
-======================  ======  =====================================================  ==================
+======================  ======  ======================================================  =================
+block                   values  meaning                                                 scale
+======================  ======  ======================================================  =================
+position                3       position, world frame                                   `POSITION_SCALE`
+rotation                9       rotation matrix body to world, row by row               1
+velocity                3       velocity, world frame                                   `SPEED_SCALE`
+body_rate               3       body rates                                              `RATE_SCALE`
+targets                 3 j     next j waypoints minus position, world frame            `TARGET_SCALE`
+obstacle_distances      N       centre distances, nearest first, padded with the range   `DISTANCE_SCALE`
+obstacle_vectors        4 N     unit vector to the centre (world) and that distance     1, `DISTANCE_SCALE`
+rays                    R       exp(-d / ray_scale) along fixed world directions        1
+======================  ======  ======================================================  =================
 
 Scales are constants, not running statistics: a policy file needs nothing but its weights. After the
 last waypoint the last one repeats. To add a block: write its function, name it in `BLOCKS` with its
@@ -30,10 +30,13 @@ from srlrace.config import ObservationConfig
 from srlrace.sim.compile import inline
 from srlrace.world.field import cast_rays, nearest_centre
 
-LENGTH = 10.0  # m; ours: waypoints are 5-15 m apart
-SPEED = 10.0  # m/s; ours: the paper's flights average 8 m/s
-RATE = 6.0  # rad/s; the largest commanded roll and pitch rate
-CLEARANCE = 5.0  # m; ours: half the range in which obstacles are seen
+# Ours, found by training. An input's scale decides how fast its weights matter: what is the same skill at every waypoint
+# (where the next ones are, how fast we fly) is large, what differs from place to place is small.
+POSITION_SCALE = 40.0  # m
+TARGET_SCALE = 5.0  # m; waypoints are 5-15 m apart
+SPEED_SCALE = 5.0  # m/s; flights average 8-13 m/s
+RATE_SCALE = 6.0  # rad/s; the largest commanded roll and pitch rate
+DISTANCE_SCALE = 20.0  # m; twice the range in which obstacles are seen
 
 BLOCKS: dict[str, Callable[[ObservationConfig], int]] = {
     "position": lambda _: 3,
@@ -90,7 +93,7 @@ def write_targets(fleet, rules, i, out, at):
     for ahead in range(rules.targets):
         w = rules.sequence[min(fleet.target[i] + ahead, last)]
         for axis in range(3):
-            out[at + 3 * ahead + axis] = (fleet.waypoints[w, axis, i] - fleet.state[axis, i]) * (1.0 / LENGTH)
+            out[at + 3 * ahead + axis] = (fleet.waypoints[w, axis, i] - fleet.state[axis, i]) * (1.0 / TARGET_SCALE)
 
 
 @inline
@@ -98,7 +101,7 @@ def write_vectors(fleet, field, i, distance, index, out, at):
     """Write direction and distance of each obstacle; an empty slot has no direction."""
     for k in range(distance.shape[0]):
         slot = at + 4 * k
-        out[slot + 3] = distance[k] * (1.0 / CLEARANCE)
+        out[slot + 3] = distance[k] * (1.0 / DISTANCE_SCALE)
         if index[k] < 0:
             out[slot], out[slot + 1], out[slot + 2] = 0.0, 0.0, 0.0
             continue
@@ -127,23 +130,23 @@ def observe(fleet, rules, field, i, distance, index, out):
     at = 0
     for code in rules.blocks:
         if code == POSITION:
-            write_scaled(fleet.state, 0, i, LENGTH, out, at)
+            write_scaled(fleet.state, 0, i, POSITION_SCALE, out, at)
             at += 3
         elif code == ROTATION:
             write_rotation(fleet.state, i, out, at)
             at += 9
         elif code == VELOCITY:
-            write_scaled(fleet.state, 3, i, SPEED, out, at)
+            write_scaled(fleet.state, 3, i, SPEED_SCALE, out, at)
             at += 3
         elif code == BODY_RATE:
-            write_scaled(fleet.state, 10, i, RATE, out, at)
+            write_scaled(fleet.state, 10, i, RATE_SCALE, out, at)
             at += 3
         elif code == TARGETS:
             write_targets(fleet, rules, i, out, at)
             at += 3 * rules.targets
         elif code == OBSTACLE_DISTANCES:
             for k in range(distance.shape[0]):
-                out[at + k] = distance[k] * (1.0 / CLEARANCE)
+                out[at + k] = distance[k] * (1.0 / DISTANCE_SCALE)
             at += distance.shape[0]
         elif code == OBSTACLE_VECTORS:
             write_vectors(fleet, field, i, distance, index, out, at)

@@ -84,6 +84,7 @@ def make_rules(config: Config, field: ObstacleField, mode: RaceMode, dtype: DTyp
         thrust_spread=draw.thrust,
         gate_starts=config.curriculum.gate_starts if mode.curriculum else 0.0,
         memory_starts=config.curriculum.memory_starts if mode.curriculum else 0.0,
+        retry_starts=config.curriculum.retry_starts if mode.curriculum else 0.0,
         autoreset=mode.autoreset,
     )
 
@@ -106,6 +107,20 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         staged=np.zeros(n, np.bool_),
         parked=np.zeros(n, np.bool_),
         streams=make_streams(mode.seed, mode.members),
+        start_streams=np.zeros((2, n), np.uint64),
+    )
+
+
+def make_memory(config: Config, rules: Rules, dtype: DTypeLike) -> Memory:
+    """Allocate what resets remember; one entry where they never look."""
+    targets, size = len(rules.sequence), record_size(len(config.env.waypoints))
+    passings = config.curriculum.memory_size if rules.memory_starts > 0.0 else 1
+    failures = config.curriculum.memory_size if rules.retry_starts > 0.0 else 1
+    return Memory(
+        record=np.zeros((targets, passings, size), dtype),
+        count=np.zeros(targets, np.int64),
+        failed=np.zeros((2, failures), np.uint64),
+        failures=np.zeros(1, np.int64),
     )
 
 
@@ -124,6 +139,11 @@ def make_output(rules: Rules, n: int, size: int, dtype: DTypeLike) -> Output:
         final_target=np.zeros(n, np.int32),
         ledger=np.zeros(len(LEDGER) + len(TERMS), np.float64),
     )
+
+
+def ramp(done: float, start: float, end: float) -> float:
+    """Return 0 until ``start``, 1 from ``end`` on, and a straight line between."""
+    return min(max((done - start) / (end - start), 0.0), 1.0) if end > start else float(done >= end)
 
 
 class Race:
@@ -149,10 +169,7 @@ class Race:
         self.n = len(mode.members)
         self.observation_size = observation_size(config.observation)
         self.fleet = make_fleet(self.rules, mode, dtype)
-        targets = len(self.rules.sequence)
-        capacity = config.curriculum.memory_size if self.rules.memory_starts > 0.0 else 1
-        size = record_size(len(config.env.waypoints))
-        self.memory = Memory(np.zeros((targets, capacity, size), dtype), np.zeros(targets, np.int64))
+        self.memory = make_memory(config, self.rules, dtype)
         self.output = make_output(self.rules, self.n, self.observation_size, dtype)
         nearest = config.observation.obstacles
         self._scratch = Scratch(
@@ -166,16 +183,21 @@ class Race:
         self.set_progress(0.0)
 
     def set_progress(self, done: float) -> None:
-        """Say which share of training is done: costs grow with it (`CurriculumConfig`).
+        """Say which share of training is done: costs grow with it and staged starts end (`CurriculumConfig`).
 
         All costs together, not the crash penalty alone: at full weight, flying with wide exploration costs
         more per second (body rates, time, obstacles) than a cheap crash, and the policy learns to crash soon.
         """
         curriculum, full = self.config.curriculum, self.rules.weights
-        hold, end = curriculum.cost_hold, curriculum.cost_ramp
-        grown = min(max((done - hold) / (end - hold), 0.0), 1.0) if end > hold else float(done >= end)
-        share = curriculum.cost_initial + (1.0 - curriculum.cost_initial) * grown if self._has_curriculum else 1.0
+        if not self._has_curriculum:
+            self.current_weights[:] = full
+            return
+        share = 1.0 - (1.0 - curriculum.cost_initial) * (1.0 - ramp(done, curriculum.cost_hold, curriculum.cost_ramp))
         self.current_weights[:] = np.where(full < 0.0, full * share, full)
+        left = 1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end)
+        self.rules = self.rules._replace(
+            gate_starts=curriculum.gate_starts * left, memory_starts=curriculum.memory_starts * left
+        )
 
     def reset(self) -> Floats:
         """Start a new episode of every drone; return the observations, (n, d)."""
@@ -231,6 +253,7 @@ class Race:
             "fleet.map": (arrays["fleet.map"], maps),
             "fleet.steps": (arrays["fleet.steps"], self.rules.horizon_steps),
             "memory.count": (count, np.iinfo(np.int64).max),
+            "memory.failures": (arrays["memory.failures"], np.iinfo(np.int64).max),
             "steps of memory.record": (written[:, -2], self.rules.horizon_steps + 1),
             "maps of memory.record": (written[:, -1], maps),
         }

@@ -192,14 +192,41 @@ def remembered_target(fleet, memory, i):
 
 
 @inline
+def remember_failure(fleet, memory, i):
+    """Write how the start of drone ``i``, whose episode has just failed, was drawn to the ring of failed starts."""
+    at = memory.failures[0] % memory.failed.shape[1]
+    memory.failures[0] += 1
+    memory.failed[0, at] = fleet.start_streams[0, i]
+    memory.failed[1, at] = fleet.start_streams[1, i]
+
+
+@inline
+def start_again(fleet, rules, field, memory, scratch, i):
+    """Start as a random one of the remembered failures did: its random numbers, drawn again."""
+    size = min(memory.failures[0], memory.failed.shape[1])
+    at = min(int(uniform(fleet.streams, i) * size), size - 1)
+    key, position = fleet.streams[0, i], fleet.streams[1, i]
+    fleet.streams[0, i], fleet.streams[1, i] = memory.failed[0, at], memory.failed[1, at]
+    start_fresh(fleet, rules, field, scratch, 0, i)
+    fleet.streams[0, i], fleet.streams[1, i] = key, position
+    fleet.staged[i] = True
+
+
+@inline
 def reset_drone(fleet, rules, field, memory, scratch, i):
-    """Start a new episode of drone ``i``: from a remembered passing, near a waypoint, or at the start."""
+    """Start a new episode of drone ``i``.
+
+    From a remembered passing, near a waypoint, at the start of a failed episode, or at a start of its own.
+    """
     staged = rules.gate_starts + rules.memory_starts
-    draw = uniform(fleet.streams, i) if staged > 0.0 else 1.0
+    draw = uniform(fleet.streams, i) if staged + rules.retry_starts > 0.0 else 1.0
     k = remembered_target(fleet, memory, i) if draw < rules.memory_starts else -1
     if k >= 0:
         start_remembered(fleet, memory, k, i)
+    elif draw >= 1.0 - rules.retry_starts and memory.failures[0] > 0:
+        start_again(fleet, rules, field, memory, scratch, i)
     else:
         target = int(uniform(fleet.streams, i) * rules.sequence.shape[0]) if draw < staged else 0
+        fleet.start_streams[0, i], fleet.start_streams[1, i] = fleet.streams[0, i], fleet.streams[1, i]
         start_fresh(fleet, rules, field, scratch, min(target, rules.sequence.shape[0] - 1), i)
     clear_episode(fleet, i)

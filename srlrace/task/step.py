@@ -32,7 +32,7 @@ from srlrace.task.arrays import (
     TIMEOUT,
 )
 from srlrace.task.observation import observe
-from srlrace.task.reset import FAR, remember, reset_drone
+from srlrace.task.reset import FAR, remember, remember_failure, reset_drone
 from srlrace.task.reward import body_rate, progress, reward_terms
 from srlrace.world.field import nearest, pass_waypoint, swept_gap
 
@@ -225,6 +225,8 @@ def step_drone(fleet, rules, field, memory, scratch, out, weights, i):
         return
     observe(fleet, rules, field, i, scratch.distance, scratch.index, out.terminal_observation[i])
     close_episode(fleet, out, outcome, i)
+    if rules.retry_starts > 0.0 and outcome != FINISHED and not fleet.staged[i]:
+        remember_failure(fleet, memory, i)
     if rules.autoreset:
         reset_drone(fleet, rules, field, memory, scratch, i)
         observe_into(fleet, rules, field, scratch, i, out.observation)

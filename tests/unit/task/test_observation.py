@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from srlrace.task.observation import CLEARANCE, LENGTH, RATE, SPEED, observation_size
+from srlrace.task.observation import (
+    DISTANCE_SCALE,
+    POSITION_SCALE,
+    RATE_SCALE,
+    SPEED_SCALE,
+    TARGET_SCALE,
+    observation_size,
+)
 
 SIZES = {"paper": 34, "relative": 64, "rays": 56, "blind": 24, "song": 18}
 BLOCK_SIZES = {
@@ -62,9 +69,9 @@ def block(seen, name):
 def test_own_state(moved):
     race, seen = moved
     state = race.fleet.state
-    np.testing.assert_allclose(block(seen, "position") * LENGTH, state[:3].T, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(block(seen, "velocity") * SPEED, state[3:6].T, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(block(seen, "body_rate") * RATE, state[10:13].T, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(block(seen, "position") * POSITION_SCALE, state[:3].T, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(block(seen, "velocity") * SPEED_SCALE, state[3:6].T, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(block(seen, "body_rate") * RATE_SCALE, state[10:13].T, rtol=1e-5, atol=1e-6)
     matrices = Rotation.from_quat(state[6:10].T.astype(float), scalar_first=True).as_matrix()
     np.testing.assert_allclose(block(seen, "rotation"), matrices.reshape(N, 9), atol=2e-6)
 
@@ -75,7 +82,7 @@ def test_targets(moved):
     for ahead in (0, 1):
         which = np.minimum(target + ahead, 8)
         expected = race.fleet.waypoints[which, :, np.arange(N)] - position
-        np.testing.assert_allclose(block(seen, "targets")[:, 3 * ahead : 3 * ahead + 3] * LENGTH, expected, atol=1e-5)
+        np.testing.assert_allclose(block(seen, "targets")[:, 3 * ahead : 3 * ahead + 3] * TARGET_SCALE, expected, atol=1e-5)
     last = block(seen, "targets")[target >= 8]
     assert len(last) >= 2
     np.testing.assert_array_equal(last[:, :3], last[:, 3:])
@@ -89,11 +96,11 @@ def test_nearest_obstacles_count_obstacles_not_spheres(moved, spheres):
         position = race.fleet.state[:3, i].astype(float)
         everything = np.sort(truths[race.fleet.map[i]].distances(position))
         expected = np.minimum(everything[:10], 10.0)
-        np.testing.assert_allclose(block(seen, "obstacle_distances")[i] * CLEARANCE, expected, atol=2e-5)
+        np.testing.assert_allclose(block(seen, "obstacle_distances")[i] * DISTANCE_SCALE, expected, atol=2e-5)
         vectors = block(seen, "obstacle_vectors")[i].reshape(10, 4)
-        np.testing.assert_allclose(vectors[:, 3] * CLEARANCE, expected, atol=2e-5)
+        np.testing.assert_allclose(vectors[:, 3] * DISTANCE_SCALE, expected, atol=2e-5)
         np.testing.assert_allclose(np.linalg.norm(vectors[:, :3], axis=1), 1, atol=1e-5)
-        ends = position + vectors[:, :3] * vectors[:, 3:] * CLEARANCE
+        ends = position + vectors[:, :3] * vectors[:, 3:] * DISTANCE_SCALE
         centres = truths[race.fleet.map[i]].centres
         misses = [np.linalg.norm(centres - end, axis=1).min() for end in ends]
         assert max(misses) < 1e-4  # each vector ends in the centre of a sphere
@@ -105,7 +112,7 @@ def test_slots_without_an_obstacle_hold_the_range(config, flown, place_drones, h
     race = flown(config("env=split_s", "observation=relative", "observation.range=6"), 1)
     place_drones(race, (0.0, 2.0, 3.0))
     vectors = race.step(hover(1)).observation[0, 24:].reshape(10, 4)
-    empty = np.isclose(vectors[:, 3] * CLEARANCE, 6.0)
+    empty = np.isclose(vectors[:, 3] * DISTANCE_SCALE, 6.0)
     assert 10 - empty.sum() == (spheres(race, 0).distances([0, 2, 3]) < 6).sum()
     assert 0 < empty.sum() < 10
     assert (vectors[empty, :3] == 0).all()
@@ -149,17 +156,17 @@ def block_of(race, name):
     """A block from the race's present state; obstacle blocks are taken as they come (checked above)."""
     state, n = race.fleet.state, race.n
     if name == "position":
-        return state[:3].T / LENGTH
+        return state[:3].T / POSITION_SCALE
     if name == "velocity":
-        return state[3:6].T / SPEED
+        return state[3:6].T / SPEED_SCALE
     if name == "body_rate":
-        return state[10:13].T / RATE
+        return state[10:13].T / RATE_SCALE
     if name == "rotation":
         return Rotation.from_quat(state[6:10].T.astype(float), scalar_first=True).as_matrix().reshape(n, 9)
     if name == "targets":
         which = np.minimum(race.fleet.target[:, None] + [0, 1], 8)
         there = race.fleet.waypoints[which, :, np.arange(n)[:, None]]
-        return ((there - state[:3].T[:, None]) / LENGTH).reshape(n, 6)
+        return ((there - state[:3].T[:, None]) / TARGET_SCALE).reshape(n, 6)
     ended = (race.output.outcome > 0)[:, None]
     values = np.where(ended, race.output.terminal_observation, race.output.observation)
     return values[:, -BLOCK_SIZES[name] :]

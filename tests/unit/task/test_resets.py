@@ -8,6 +8,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from srlrace.task.arrays import CRASHED, DIVERGED, FLYING
+from srlrace.task.observation import POSITION_SCALE
 
 N = 1500
 SIGNIFICANT = 1e-4  # p-value below which a distribution is called wrong; the draws are fixed, so this never flickers
@@ -236,6 +237,38 @@ def test_with_nothing_to_remember_starts_are_near_waypoints(config, trained):
     assert len(set(race.fleet.target.tolist())) == 9
 
 
+def test_a_failed_start_is_flown_again_exactly(config, trained, hover):
+    """One drone fails from its start; later starts are that very one, and are not counted, nor remembered again."""
+    settings = config("randomization=full", "level=1", "randomization.maps=12", "curriculum=none")
+    settings = dataclasses.replace(settings, curriculum=dataclasses.replace(settings.curriculum, retry_starts=1.0))
+    race = trained(settings, 4)
+    names = ("state", "plant", "waypoints", "steps", "map", "target")
+    drawn = {name: getattr(race.fleet, name)[..., 2].copy() for name in names}
+    assert race.memory.failures.tolist() == [0]
+    assert not race.fleet.staged.any()
+    for failures in ([0, 0, 1, 0], [1, 1, 1, 1]):
+        race.fleet.state[3] = np.where(failures, np.nan, race.fleet.state[3])
+        race.step(hover(4))
+        again = np.flatnonzero(failures)
+        assert race.fleet.staged[again].all()
+        assert race.memory.failures.tolist() == [[1], [4]][len(again) > 1]  # the retried one is not written again
+        if len(again) == 1:
+            for name, value in drawn.items():
+                np.testing.assert_array_equal(getattr(race.fleet, name)[..., 2], value, err_msg=name)
+    assert race.take_ledger()["episodes"] == 4
+
+
+def test_staged_starts_end(config, trained, hover):
+    race = trained(staged(config, gate_starts=0.5, memory_starts=0.3, staged_hold=0.2, staged_end=0.6), 300)
+    for done, left in ((0.0, 1.0), (0.2, 1.0), (0.5, 0.25), (0.6, 0.0), (1.0, 0.0)):
+        race.set_progress(done)
+        assert race.rules.gate_starts == pytest.approx(0.5 * left)
+        assert race.rules.memory_starts == pytest.approx(0.3 * left)
+    race.fleet.state[3] = np.nan
+    race.step(hover(300))
+    assert not race.fleet.staged.any()
+
+
 def test_episodes_restart_at_once_in_training(config, trained, place_drones, hover):
     race = trained(staged(config), 3)
     place_drones(race, [[0, 0, 4], [0, 0, 4], [0, 0, 0.05]], [[0, 0, 0], [0, 0, 0], [0, 0, -5]])
@@ -244,5 +277,5 @@ def test_episodes_restart_at_once_in_training(config, trained, place_drones, hov
     assert out.outcome[2] not in (FLYING, CRASHED)
     assert race.fleet.steps.tolist() == [1, 1, 0]
     assert np.abs(race.fleet.state[:2, 2] - np.array(race.config.env.start[:2])).max() <= 1
-    np.testing.assert_allclose(out.terminal_observation[2, :3] * 10, [0, 0, -0.05], atol=2e-3)
-    np.testing.assert_allclose(out.observation[2, :3] * 10, race.fleet.state[:3, 2], rtol=1e-6)
+    np.testing.assert_allclose(out.terminal_observation[2, :3] * POSITION_SCALE, [0, 0, -0.05], atol=2e-3)
+    np.testing.assert_allclose(out.observation[2, :3] * POSITION_SCALE, race.fleet.state[:3, 2], rtol=1e-6)
