@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from srlrace.task.reward import TERMS
 
 if TYPE_CHECKING:
-    from torch.utils.tensorboard import SummaryWriter
+    from srlrace.learn.events import EventFile
 
 LEARNER = ("approx_kl", "clip_fraction", "value_loss", "policy_gradient_loss", "explained_variance", "std")
 COLUMNS = (
@@ -109,7 +109,7 @@ def figures_text(row: dict[str, Any]) -> str:
     )
 
 
-def write_scalars(writer: SummaryWriter, row: dict[str, Any]) -> None:
+def write_scalars(writer: EventFile, row: dict[str, Any]) -> None:
     """Write a progress row to TensorBoard."""
     for name, value in row.items():
         if value is not None and name != "steps":

@@ -21,6 +21,7 @@ from srlrace.config import Config, ConfigError, load_config, run_id, to_dict
 from srlrace.files import atomic_write, naming, read_limited, write_sealed
 from srlrace.learn.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from srlrace.learn.display import Display
+from srlrace.learn.events import EventFile
 from srlrace.learn.finite import Diverged, check_rollout, check_update
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.policy import save_policy
@@ -61,8 +62,6 @@ class Training:
     """One attempt at a run, in its locked folder."""
 
     def __init__(self, config: Config, folder: RunFolder, display: Display, request: StopRequest) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
         self.config, self.folder = config, folder
         self._display, self._request = display, request
         self.env = RaceVecEnv(config)
@@ -80,7 +79,7 @@ class Training:
         with naming(progress):
             self._file = ProgressFile(progress, int(facts.get("progress_bytes", 0)))
         with naming(folder.path):
-            self._board = SummaryWriter(str(folder.path), purge_step=self.model.num_timesteps)
+            self._board = EventFile(folder.path, self.model.num_timesteps)
         self._began = self._saved = time.monotonic()
         self._seen_steps = self.model.num_timesteps
         self._row_steps = int(facts.get("row_steps", 0))
@@ -150,6 +149,8 @@ class Training:
             return
         with naming(self.folder.path / "progress.csv"):
             length = self._file.sync()  # nothing was added to it since that boundary
+        with naming(self.folder.path):
+            self._board.flush()
         facts = {
             **self._circumstances,
             "wall_s": self.wall,
