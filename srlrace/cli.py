@@ -149,10 +149,10 @@ def evaluate(
 def report(
     runs: RunsOption = None,
     format: Annotated[
-        str | None, typer.Option(metavar="md|csv|tex", help="Print tables so; default: terminal.")
+        str | None, typer.Option(metavar="md|csv|tex|html", help="Print tables so, or write a page.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Also write tables and figures there.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Write tables, figures or the page there.")
     ] = None,
 ) -> None:
     """Show the paper's tables: ours, from the runs at hand, beside the paper's numbers."""
@@ -165,6 +165,7 @@ def report(
 @app.command("runs")
 def list_all(
     filter: Annotated[list[str] | None, typer.Option("--filter", metavar="NAME=VALUE", help="Only such runs.")] = None,
+    follow: Annotated[bool, typer.Option("--watch", help="Follow them until Ctrl-C.")] = False,
     runs: RunsOption = None,
 ) -> None:
     """List the runs: id, state, progress, results."""
@@ -172,6 +173,10 @@ def list_all(
     from srlrace.tables import filtered, runs_table
 
     root = runs_root(runs)
+    if follow:
+        from srlrace.watch import watch
+
+        return watch(lambda: filtered(list_runs(root), filter or []))
     chosen = filtered(list_runs(root), filter or [])
     if chosen:
         out.print(runs_table(chosen))

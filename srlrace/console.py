@@ -33,6 +33,12 @@ def fail(message: str) -> None:
     err.print(Text.assemble(("error: ", "bold red"), clean(" ".join(message.split()))), soft_wrap=True)
 
 
+def duration(seconds: float) -> str:
+    """Return a time in hours, minutes and seconds, as clocks show it."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
+
+
 class _Handler(logging.Handler):
     """Log records as plain lines through the console, so that they do not tear a progress bar."""
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from srlrace.config import Config, CurriculumConfig
-from srlrace.console import err, logged
+from srlrace.console import duration, err, logged
 from srlrace.learn.progress import figures_text
 from srlrace.task.race import ramp
 
@@ -129,12 +129,6 @@ def trend(values: list[float | None]) -> str:
     means = (_mean([value for value in part if value is not None]) for part in parts)
     span = (high - low) or 1.0
     return "".join(" " if mean is None else BLOCKS[round((len(BLOCKS) - 1) * (mean - low) / span)] for mean in means)
-
-
-def duration(seconds: float) -> str:
-    """Return a time in hours, minutes and seconds, as clocks show it."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
 
 def _mean(values: list[float]) -> float | None:

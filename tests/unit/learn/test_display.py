@@ -10,7 +10,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from srlrace.learn.display import BLOCKS, Display, duration, phase_text, trend
+from srlrace.console import duration
+from srlrace.learn.display import BLOCKS, Display, phase_text, trend
 
 
 def row(steps, wall_s, **values):
