@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from srlrace.files import read_limited
 from srlrace.runs import RunError, RunFolder, State, list_runs
 from srlrace.schema import SUITES, AlgoConfig, Config
 
-EPISODES_LIMIT = 64_000_000  # bytes: half a million episodes; more than this is not an evaluation
 GATES_LIMIT = 1_001_000  # a thousand laps of a thousand waypoints, the most that a track may have, and the first again
 CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts
 OUTCOMES = ("finished", "timeout", *CRASHES)
@@ -96,7 +94,7 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
     path = folder.file("eval", suite, "episodes.csv")
     timed = "lap_time_s" if config.env.laps else "time_s"
     columns = {"episode", "map", "outcome", "gates_passed", "min_clearance_m", "time_s", timed}
-    table = pd.read_csv(BytesIO(read_limited(path, EPISODES_LIMIT)), usecols=sorted(columns))
+    table = pd.read_csv(BytesIO(folder.episodes(suite)), usecols=sorted(columns))
     if table.empty:
         raise ValueError("no episode")
     unknown = set(table["outcome"]) - set(OUTCOMES)
