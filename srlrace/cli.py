@@ -303,6 +303,9 @@ def main() -> Any:
             sys.exit(train_command(words[1:]))
         with completing():
             app(prog_name="srlrace")
+    except KeyboardInterrupt:
+        say("stopped; the same command starts anew, and leaves nothing half done")
+        sys.exit(130)
     except OSError as error:
         fail(f"{error.strerror}: {error.filename}" if error.filename else str(error))
         sys.exit(1)
