@@ -22,6 +22,7 @@ from srlrace.checks import check_memory
 from srlrace.confdir import conf_dir
 from srlrace.config import Config, ConfigError, parse_config, run_id
 from srlrace.console import say
+from srlrace.locks import WAIT
 from srlrace.overrides import Request, check_arguments
 from srlrace.runs import RunFolder, State, runs_root
 from srlrace.signals import handling, pass_on
@@ -109,17 +110,24 @@ def _machine_memory() -> int:
 
 def train(arguments: Sequence[str]) -> int:
     """Run ``srlrace train ARGUMENTS``: check everything, then let Hydra run it. Returns the exit status."""
+    try:
+        with _terminable():
+            return _train(arguments)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 1
+
+
+def _train(arguments: Sequence[str]) -> int:
     request = check_arguments(arguments)
     configs = compose_all(request)
     root = runs_root(request.options.runs).absolute()
     sweep_dir = root / ".multirun" / str(os.getpid())
     words = [*request.options.flags, *_search_path(request), *request.overrides, *_plumbing(sweep_dir)]
     environment = {RUNS: str(root), ARGV: json.dumps(["srlrace", "train", *arguments]), "HYDRA_FULL_ERROR": "1"}
+    environment |= {WAIT: "1"} if request.options.wait else {}
     try:
-        with _swapped(["srlrace train", *words], environment), _terminable():
+        with _swapped(["srlrace train", *words], environment):
             _hydra_main()
-    except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else 1
     finally:
         with suppress(OSError):
             (sweep_dir / "multirun.yaml").unlink(missing_ok=True)
