@@ -1,9 +1,9 @@
-"""The options of ``srlrace train``: those of Hydra's that are safe, and ``--runs``."""
+"""The options of ``srlrace train``: those of Hydra's that are safe, ``--runs`` and ``--wait``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from srlrace.catalogue import GROUPS, SETTINGS
@@ -23,6 +23,7 @@ class Options:
     flags: tuple[str, ...] = ()
     config_dirs: tuple[str, ...] = ()
     runs: str | None = None
+    wait: bool = False  # for another process that is training the same run
 
     @property
     def multirun(self) -> bool:
@@ -44,12 +45,14 @@ def split_options(arguments: Sequence[str]) -> tuple[Options, list[str]]:
         name, has_value, value = word.partition("=")
         if not word.startswith("-"):
             words.append(word)
+        elif word == "--wait":
+            options = replace(options, wait=True)
         elif name in SWITCHES and not has_value:
-            options = Options((*options.flags, name), options.config_dirs, options.runs)
+            options = replace(options, flags=(*options.flags, name))
         elif name in FLAGS:
             if not has_value:
                 value = rest.pop(0) if rest and "=" not in rest[0] else ""
-            options = Options((*options.flags, *_flag(name, value)), options.config_dirs, options.runs)
+            options = replace(options, flags=(*options.flags, *_flag(name, value)))
         elif name in FOLDERS:
             if not has_value:
                 value = rest.pop(0) if rest else ""
@@ -69,10 +72,10 @@ def _flag(name: str, value: str) -> list[str]:
 
 def _with_folder(options: Options, name: str, value: str) -> Options:
     if name == "--runs" and value:
-        return Options(options.flags, options.config_dirs, value)
+        return replace(options, runs=value)
     if name == "--runs" or not Path(value).is_dir():
         raise ConfigError(f"{name}: got {show(value)}, which is not a folder")
-    return Options(options.flags, (*options.config_dirs, str(Path(value).resolve())), options.runs)
+    return replace(options, config_dirs=(*options.config_dirs, str(Path(value).resolve())))
 
 
 def _no_option(word: str, rest: Sequence[str]) -> str:
@@ -81,4 +84,4 @@ def _no_option(word: str, rest: Sequence[str]) -> str:
     if name in SETTINGS or name in GROUPS:
         value = value if has_value else next(iter(rest), "VALUE")
         return f"{word}: settings have no dashes; write {name}={value}"
-    return f"{show(word)}: no such option{nearest(word, (*SWITCHES, *FLAGS, *FOLDERS, '--help'))}"
+    return f"{show(word)}: no such option{nearest(word, (*SWITCHES, *FLAGS, *FOLDERS, '--wait', '--help'))}"
