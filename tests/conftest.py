@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import os
+from collections.abc import Iterator
 from typing import Any
 
+import guards
 import hypothesis
 import numpy as np
 import pytest
@@ -81,6 +83,15 @@ def pilot_action(observation: Any) -> Any:
     rates = 10.0 * np.stack([-y, x, np.zeros_like(x)], axis=1)
     thrust = 2 * np.maximum(strength * z, 0.0) / COLLECTIVE - 1
     return np.clip(np.column_stack([thrust, rates / RATES]), -1, 1).astype(np.float32)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_unpickled_nothing_fetched() -> Iterator[None]:
+    """No test unpickles anything or reaches beyond this machine, nor does what it tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        guards.forbid_unpickling(patch.setattr)
+        guards.forbid_network(patch.setattr)
+        yield
 
 
 @pytest.fixture(scope="session")
