@@ -28,10 +28,10 @@ def much() -> Callable[[int, int], int]:
 
 
 @pytest.fixture
-def chance(request: pytest.FixtureRequest) -> random.Random:
-    """Other moments in every run of a test: all of them must do. The seed is shown when it fails."""
+def chance(record_property: Callable[[str, object], None]) -> random.Random:
+    """Other moments in every run of a test: all of them must do. ``SRLRACE_SEED`` repeats those of one run."""
     seed = int(os.environ.get("SRLRACE_SEED") or random.SystemRandom().randrange(10**6))
-    print(f"SRLRACE_SEED={seed}")
+    record_property("SRLRACE_SEED", seed)
     return random.Random(seed)
 
 

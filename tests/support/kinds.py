@@ -21,8 +21,10 @@ KINDS = {
     "two_threads": ("level=1", "algo.threads=2", "observation=relative"),
 }
 
+SHORT = ("level=1", "curriculum.memory_starts=0.5", "env.horizon=0.3", "algo.total_steps=384")  # where many are needed
+
 
 def words(kind: str, seed: int = 0) -> list[str]:
     """The overrides of a kind."""
-    settings = dict(word.split("=", 1) for word in (*SMALL, *KINDS[kind]))
+    settings = dict(word.split("=", 1) for word in (*SMALL, *(KINDS | {"short": SHORT})[kind]))
     return [*(f"{name}={value}" for name, value in settings.items()), f"seed={seed}"]

@@ -12,12 +12,15 @@ import contextlib
 import importlib
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import guards
 
 WARM = [
     "level=1", "algo.n_envs=8", "algo.n_steps=16", "algo.batch_size=64", "algo.n_epochs=1", "algo.policy_layers=[16]",
@@ -48,14 +51,15 @@ class Zygote:
         return json.loads(self._process.stdout.readline())
 
     def start(self, *calls: list[str], out: Path, cwd: Path | None = None, env: dict[str, str] | None = None,
-              set: dict[str, Any] | None = None) -> int:  # fmt: skip
+              set: dict[str, Any] | None = None, file_limit: int = 0, guarded: bool = False) -> int:  # fmt: skip
         """Start a process that runs ``srlrace`` with each list of words; returns its id.
 
-        ``set`` gives attributes of modules other values there, as ``module:attribute``.
+        ``set`` gives attributes of modules other values there, as ``module:attribute``; ``file_limit`` is the size
+        in bytes that its files may have. ``guarded``: it can neither unpickle nor use the network.
         """
         calls_text = [[str(word) for word in call] for call in calls]
         return self._ask({"calls": calls_text, "out": str(out), "cwd": str(cwd or out.parent), "env": env or {},
-                          "set": set or {}})  # fmt: skip
+                          "set": set or {}, "file_limit": file_limit, "guarded": guarded})  # fmt: skip
 
     def wait(self, process: int) -> Ending:
         """How a process ended."""
@@ -73,17 +77,25 @@ class Zygote:
 def main() -> None:
     from srlrace import cli
 
-    with tempfile.TemporaryDirectory() as folder, open(os.devnull, "w") as null, contextlib.redirect_stderr(null), \
-            contextlib.redirect_stdout(null):  # fmt: skip
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Path(os.devnull).open("w") as null,
+        contextlib.redirect_stderr(null),
+        contextlib.redirect_stdout(null),
+    ):
         for module in ("report.command", "tables", "bench", "recording.recover", "hydra_bridge"):
             importlib.import_module(f"srlrace.{module}")
         call(cli, ["train", *WARM, "--runs", folder])
         call(cli, ["eval", "--episodes", "3", "--runs", folder])
-    print("ready", flush=True)
+    answer("ready")
     for line in sys.stdin:
         question = json.loads(line)
-        answer = ended(question["wait"]) if "wait" in question else born(cli, question)
-        print(json.dumps(answer), flush=True)
+        answer(json.dumps(ended(question["wait"]) if "wait" in question else born(cli, question)))
+
+
+def answer(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
 
 
 def born(cli: Any, question: dict[str, Any]) -> int:
@@ -98,9 +110,14 @@ def born(cli: Any, question: dict[str, Any]) -> int:
         os.dup2(out, 2)
         os.environ.update(question["env"])
         os.chdir(question["cwd"])
+        if question["file_limit"]:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (question["file_limit"],) * 2)
         for place, value in question["set"].items():
             module, _, attribute = place.partition(":")
             setattr(importlib.import_module(module), attribute, value)
+        if question["guarded"]:
+            guards.forbid_unpickling()
+            guards.forbid_network()
         for words in question["calls"]:
             status = call(cli, words)
     except BaseException:
