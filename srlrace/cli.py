@@ -222,7 +222,8 @@ def replay_flights(
         str, typer.Option(help="train_map, level1, level2, level3.", autocompletion=complete_suite)
     ] = "train_map",
     out_file: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.html", help="Default: ./<run>-replay.html.")
+        Path | None,
+        typer.Option("--out", metavar="FILE.html", help="Default: ./<run>-replay.html; FILE.rrd: for Rerun."),
     ] = None,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     runs: RunsOption = None,
@@ -241,6 +242,32 @@ def replay_flights(
     out.print(str(path), soft_wrap=True, markup=False)
     if open_page:
         typer.launch(path.resolve().as_uri())
+
+
+@app.command(context_settings=PASS_THROUGH)
+def bound(
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", autocompletion=complete_override)
+    ] = None,
+    race: Annotated[bool, typer.Option("--race", help="On lap tracks: the whole race from rest, no flying lap.")] = False,
+    stop: Annotated[bool, typer.Option("--stop", help="End at rest.")] = False,
+    restarts: Annotated[int, typer.Option(min=1, max=100, help="First guesses that are followed to the end.")] = 3,
+    again: Annotated[bool, typer.Option("--again", help="Solve even what is stored.")] = False,
+    out_file: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.mcap", help="Where to write the flight; default: the cache.")
+    ] = None,
+) -> None:
+    """Find the time-optimal reference T_ref of a track, level and quadrotor, and record its flight.
+
+    Settings are those of training: env=forest level=3, quad.thrust_max=6.09, env.passing_radius=0.2 and the like.
+    """
+    from srlrace.bound.command import bound as find_bound
+    from srlrace.hydra_bridge import compose
+
+    setup_logging()
+    table, path = find_bound(compose(overrides or []), race, stop, restarts, again, out_file)
+    out.print(table)
+    say(f"wrote {path}")
 
 
 @app.command()

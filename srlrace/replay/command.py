@@ -15,6 +15,7 @@ from srlrace.recording import Flight
 from srlrace.replay.pack import pack_course, pack_flight, pack_obstacles
 from srlrace.replay.page import render_page
 from srlrace.replay.reference import Ghost
+from srlrace.replay.rerun_export import write_rrd
 from srlrace.replay.select import MAX_FLIGHTS, Selection, Wish, select, timed
 from srlrace.replay.source import Source, open_source
 from srlrace.runs import RunError
@@ -42,6 +43,7 @@ def replay(
 ) -> Path:
     """Write the page and return its path; ``ghost`` overlays the time-optimal reference.
 
+    An ``out`` that ends in .rrd gets the flights that are shown at first, for Rerun.
     Raises `RunError`, `ConfigError`, CorruptRecording or OSError with a message to the user.
     """
     sources = [open_source(root, query, suite) for query in queries]
@@ -52,6 +54,9 @@ def replay(
     leading = next(item.flight for item in shown if item.visible)
     reference = ghost.flight(sources[0].config, leading) if ghost else None
     title = " · ".join(dict.fromkeys(_name(source.name) for source in sources))
+    if out and out.suffix == ".rrd":
+        write_rrd(out, title, sources[0].config, [item.flight for item in shown if item.visible])
+        return out
     path = out or Path(f"{re.sub(r'[^A-Za-z0-9_.-]', '_', _name(sources[0].name)).lstrip('.')}-replay.html")
     atomic_write(path, render_page(f"{title} · srlrace replay", page_data(sources, shown, reference)))
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from srlrace.runs import RunError
@@ -83,8 +84,8 @@ def _named(table: pd.DataFrame, wanted: tuple[int, ...]) -> Selection:
 def _worst(table: pd.DataFrame) -> Selection:
     failed = _failed(table)
     if failed.empty:
-        slowest = timed(table).idxmax()
-        number = int(table.loc[slowest, "episode"])
+        slowest = int(np.nanargmax(timed(table).to_numpy()))
+        number = int(table["episode"].iloc[slowest])
         return Selection((number,), (number,), f"episode {number}, the slowest: none of {len(table)} failed")
     order = [name for name in ("gates_passed", "episode") if name in failed]
     worst = failed.sort_values(order, kind="stable").iloc[0]
