@@ -249,7 +249,9 @@ def bound(
     overrides: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", autocompletion=complete_override)
     ] = None,
-    race: Annotated[bool, typer.Option("--race", help="On lap tracks: the whole race from rest, no flying lap.")] = False,
+    race: Annotated[
+        bool, typer.Option("--race", help="On lap tracks: the whole race from rest, no flying lap.")
+    ] = False,
     stop: Annotated[bool, typer.Option("--stop", help="End at rest.")] = False,
     restarts: Annotated[int, typer.Option(min=1, max=100, help="First guesses that are followed to the end.")] = 3,
     again: Annotated[bool, typer.Option("--again", help="Solve even what is stored.")] = False,

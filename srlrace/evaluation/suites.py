@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from srlrace.config import Config, LevelConfig
 from srlrace.runs import RunError
 from srlrace.schema import SUITES
+from srlrace.task.certificate import certified_field, unseen_maps
 from srlrace.world.field import ObstacleField
-from srlrace.world.flyable import unseen_maps
 
 EVALUATION_SEED = 20_240_401  # first word of every evaluation stream; ours, arbitrary, never a training seed
 UNSEEN_MAPS = 100  # per level
@@ -50,7 +50,5 @@ def make_suite(config: Config, name: str) -> Suite:
     if name == "train_map":
         seeds = tuple(range(level.map_seed, level.map_seed + level.maps))
     else:
-        seeds = unseen_maps(flown.env, level, UNSEEN_MAPS, config.quad.arm_length)
-    observation = flown.observation
-    field = ObstacleField.of_seeds(flown.env, level, seeds, observation.obstacles, observation.range)
-    return Suite(name, flown, seeds, field)
+        seeds = unseen_maps(flown, UNSEEN_MAPS)
+    return Suite(name, flown, seeds, certified_field(flown, [seed - level.map_seed for seed in seeds]))

@@ -12,7 +12,7 @@ from srlrace.report.groups import Group, common_group, groups
 from srlrace.report.model import Cell, Comparison, OtherRun, Report, Table
 from srlrace.report.notes import cell_notes, table_notes
 from srlrace.report.numbers import cell_numbers, paired_difference
-from srlrace.report.reference import reference_time
+from srlrace.report.reference import cell_reference
 from srlrace.runs import State
 from srlrace.schema import Config
 
@@ -81,7 +81,7 @@ def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Plac
         paper=paper.cell(experiment, place.row, place.suite),
         command=_command(runs, experiment, place, group),
         numbers=cell_numbers(group.evaluations) if group else None,
-        t_ref_s=reference_time(place.config),
+        t_ref_s=cell_reference(place.config, place.suite),
         runs=tuple(group.runs[seed].id for seed in sorted(group.runs)) if group else (),
         notes=cell_notes(experiment, place.candidates, group) if group else (),
     )

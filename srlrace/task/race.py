@@ -11,6 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 from srlrace.config import Config
 from srlrace.sim.airframe import Airframe
 from srlrace.task.arrays import LEDGER, TALLY, Fleet, Floats, Memory, Output, Rules, Scratch
+from srlrace.task.certificate import certified_field
 from srlrace.task.observation import block_codes, observation_size
 from srlrace.task.random import make_streams
 from srlrace.task.reset import record_size
@@ -162,9 +163,7 @@ class Race:
     ) -> None:
         self.config = config
         maps = max(config.level.maps, config.randomization.maps)
-        self.field = field or ObstacleField.build(
-            config.env, config.level, maps, config.observation.obstacles, config.observation.range
-        )
+        self.field = field or certified_field(config, range(maps))
         self.rules = make_rules(config, self.field, mode, dtype)
         self.n = len(mode.members)
         self.observation_size = observation_size(config.observation)

@@ -1,77 +1,161 @@
-"""Which maps can be flown: a geometric certificate, and the unseen maps of the evaluation.
+"""Clear paths: a way from the start through all waypoints that keeps away from every obstacle, found on a grid.
 
-The certificate says that a ball around the drone can travel from the start through all waypoints, however
-slowly. How fast the map can be flown is a stronger, later question for a time-optimal solver.
+A path says that a ball can travel through a map, however slowly. Whether the quadrotor can fly along it is tried by
+`srlrace.task.certificate`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
-from srlrace.config import LevelConfig, TrackConfig, Vec3
+from srlrace.config import TrackConfig
 from srlrace.world.field import ObstacleField
-from srlrace.world.levels import generate_map
 from srlrace.world.obstacles import Obstacle
+from srlrace.world.track import target_sequence
 
-STEP = 0.2  # m, edge of the cells that free space is divided into
-FIRST_UNSEEN_SEED = 1_000_000  # training draws its maps far below
-TRIES = 50  # draws per wanted map before giving up
+Array = NDArray[np.float64]
+
+FLAT_STEP = 0.2  # m, edge of the squares that a wood of trees is divided into
+STEP = 0.4  # m, edge of the cubes where obstacles differ with height: eight times fewer than of half the edge
+ROOM = 0.4  # m beyond the clearance: paths keep this much more where they can
+CROWDED = 4.0  # times longer than in the open counts a way without any of that room
+GUIDANCE = 1.0  # m from the guide, where a way counts as twice as long
+SAMPLE = 0.05  # m, distance of the points at which a shortcut is tested
 
 
-def is_flyable(track: TrackConfig, obstacles: Sequence[Obstacle], clearance: float) -> bool:
-    """Whether the start and all waypoints lie in one connected part of the free space; sufficient, not necessary.
+def clear_path(
+    track: TrackConfig, obstacles: Sequence[Obstacle], clearance: float, guide: Array | None = None
+) -> list[Array] | None:
+    """Return one polyline (k, 3), m, for each leg of the flight, or None where the grid knows no way.
 
-    Free is what is `clearance` m or more away from all surfaces. A cell counts as free only if its whole volume
-    is: the gap changes by no more than the distance moved, so it is enough that the gap at the cell's centre
-    exceeds the clearance by half the cell's diagonal. Trees that span the whole height are tested in the plane.
+    With a ``guide``, points (g, 3), m, the ways that stay near it count as shorter.
+
+    A cell can be entered if the gap from its centre to the nearest surface is `clearance` m and half its diagonal.
+    Trees that span the whole height are avoided in the plane. The gap along the polylines is not less than in the
+    cells; sufficient, not necessary.
     """
-    floor, ceiling = track.bounds_low[2], track.bounds_high[2]
-    flat = all(_spans(o, floor, ceiling) for o in obstacles)
-    solid = [replace(o, origin=(*o.origin[:2], 0.0), count=(*o.count[:2], 1)) for o in obstacles] if flat else obstacles
-    low = np.array([*track.bounds_low[:2], 0.0 if flat else floor])
-    high = np.array([*track.bounds_high[:2], STEP if flat else ceiling])
-    shape = np.maximum(1, np.floor((high - low) / STEP + 1e-9).astype(int))
-    centres = [a + STEP * (np.arange(n) + 0.5) for a, n in zip(low, shape, strict=True)]
-    centres[2] = np.zeros(1) if flat else centres[2]
-    points = np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1).reshape(-1, 3)
-    field = ObstacleField.of_maps([tuple(solid)], track.bounds_low, track.bounds_high, 1, 1.0)
-    free = field.gaps(points).reshape(shape) >= clearance + STEP * math.sqrt(3) / 2
-    parts, _ = ndimage.label(free)
-    stops = {int(parts[_cell(point, low, shape, flat)]) for point in (track.start, *track.waypoints)}
-    return len(stops) == 1 and 0 not in stops
+    flat = all(_spans(o, track.bounds_low[2], track.bounds_high[2]) for o in obstacles)
+    grid = _Grid(track, obstacles, clearance, flat)
+    stops = np.array([track.start, *(track.waypoints[i] for i in target_sequence(track))])
+    cells = [grid.cell(stop) for stop in stops]
+    if not all(grid.free.ravel()[cell] for cell in cells):
+        return None
+    direct = guide is None
+    straight = [direct and _is_clear(grid, a, b, clearance + ROOM) for a, b in itertools.pairwise(stops)]
+    origins = sorted({cell for cell, clear in zip(cells, straight, strict=False) if not clear})
+    if origins:
+        distance, before = dijkstra(grid.graph(guide), directed=False, indices=origins, return_predecessors=True)
+    legs = []
+    for k, (a, b) in enumerate(itertools.pairwise(stops)):
+        inner = np.empty((0, 3))
+        if not straight[k]:
+            row = origins.index(cells[k])
+            if not np.isfinite(distance[row, cells[k + 1]]):
+                return None
+            inner = grid.centres(_trace(before[row], cells[k], cells[k + 1]))[1:-1]
+        if flat:
+            inner[:, 2] = np.linspace(a[2], b[2], len(inner) + 2)[1:-1]
+        legs.append(_shorten(grid, np.vstack([a, inner, b])))
+    return legs
 
 
-def unseen_maps(track: TrackConfig, level: LevelConfig, count: int, drone_radius: float) -> tuple[int, ...]:
-    """Seeds of the first `count` flyable maps of a level that no training draws, in the order of their seeds.
+class _Grid:
+    """Free cells of a world, and the gap from each one's centre to the nearest surface."""
 
-    `drone_radius` (m) and the level's safety margin keep the ball from the trees. Raises ValueError where
-    hardly any draw is flyable.
-    """
-    first = max(FIRST_UNSEEN_SEED, level.map_seed + FIRST_UNSEEN_SEED)
-    seeds: list[int] = []
-    for seed in range(first, first + TRIES * count):
-        if len(seeds) == count:
-            break
-        if is_flyable(track, generate_map(track, level, seed - level.map_seed), drone_radius + level.safety_margin):
-            seeds.append(seed)
-    if len(seeds) < count:
-        raise ValueError(f"only {len(seeds)} of {TRIES * count} maps of level {level.name} on {track.name} are flyable")
-    return tuple(seeds)
+    def __init__(self, track: TrackConfig, obstacles: Sequence[Obstacle], clearance: float, flat: bool) -> None:
+        self.step, self.flat, self.clearance = (FLAT_STEP if flat else STEP), flat, clearance
+        solid = [replace(o, origin=(*o.origin[:2], 0.0), count=(*o.count[:2], 1)) if flat else o for o in obstacles]
+        self.field = ObstacleField.of_maps([tuple(solid)], track.bounds_low, track.bounds_high, 1, 1.0)
+        self.low, high = np.array(track.bounds_low), np.array(track.bounds_high)
+        self.shape = np.maximum(1, np.floor((high - self.low) / self.step + 1e-9).astype(int))
+        if flat:
+            self.shape[2] = 1
+        self.gap = self.gaps(self.centres(np.arange(self.shape.prod()))).reshape(self.shape)
+        self.free = self.gap >= clearance + self.step * math.sqrt(2 if flat else 3) / 2
+
+    def gaps(self, places: Array) -> Array:
+        """Distance to the nearest surface (n,), m."""
+        at = places * [1.0, 1.0, 0.0] if self.flat else places
+        return np.asarray(self.field.gaps(at), np.float64)
+
+    def cell(self, place: Array) -> int:
+        """Number of the cell that a place lies in."""
+        index = np.clip(((place - self.low) / self.step).astype(int), 0, self.shape - 1)
+        return int(np.ravel_multi_index(tuple(index), tuple(self.shape)))
+
+    def centres(self, cells: Any) -> Array:
+        """Centres (n, 3) of numbered cells, m."""
+        return self.low + self.step * (np.stack(np.unravel_index(cells, tuple(self.shape)), axis=-1) + 0.5)
+
+    def graph(self, guide: Array | None) -> csr_array:
+        """Lengths of the steps between free neighbours, stretched where there is little room or the guide is far."""
+        stretch = 1 + (CROWDED - 1) * np.clip((self.clearance + ROOM - self.gap) / ROOM, 0.0, 1.0)
+        if guide is not None:
+            plane = [1.0, 1.0, 0.0 if self.flat else 1.0]
+            centres = self.centres(np.arange(self.gap.size)) * plane
+            stretch *= 1 + (cKDTree(guide * plane).query(centres)[0] / GUIDANCE).reshape(self.gap.shape)
+        number = np.arange(self.gap.size).reshape(self.shape)
+        rows, columns, lengths = [], [], []
+        for offset, here, there in _neighbours():
+            both = self.free[here] & self.free[there]
+            length = self.step * math.hypot(*offset)
+            rows.append(number[here][both])
+            columns.append(number[there][both])
+            lengths.append((length * 0.5 * (stretch[here] + stretch[there]))[both])
+        size = self.gap.size
+        joined = (np.concatenate(part) for part in (rows, columns))
+        return csr_array((np.concatenate(lengths), tuple(joined)), shape=(size, size))
+
+
+def _neighbours() -> Iterator[tuple[tuple[int, ...], tuple[slice, ...], tuple[slice, ...]]]:
+    """Offsets to half of a cell's 26 neighbours, and the slices of an array that each one pairs."""
+    for offset in itertools.product((-1, 0, 1), repeat=3):
+        if offset > (0, 0, 0):
+            yield (
+                offset,
+                tuple(slice(max(0, -d), -d if d > 0 else None) for d in offset),
+                tuple(slice(max(0, d), d if d < 0 else None) for d in offset),
+            )
+
+
+def _trace(before: NDArray[np.int32], start: int, goal: int) -> list[int]:
+    cells = [goal]
+    while cells[-1] != start:
+        cells.append(int(before[cells[-1]]))
+    return cells[::-1]
+
+
+def _shorten(grid: _Grid, path: Array) -> Array:
+    """Pull a polyline straight wherever that brings it no closer to an obstacle than it was, or than there is room."""
+    gaps, kept, here = grid.gaps(path), [0], 0
+    enough = grid.clearance + ROOM
+    while here < len(path) - 1:
+        there = len(path) - 1
+        while there > here + 1 and not _is_clear(
+            grid, path[here], path[there], min(enough, gaps[here : there + 1].min())
+        ):
+            there = here + max(1, (there - here) * 3 // 4)
+        kept.append(there)
+        here = there
+    return path[kept]
+
+
+def _is_clear(grid: _Grid, a: Array, b: Array, gap: float) -> bool:
+    count = 2 + int(np.linalg.norm(b - a) / SAMPLE)
+    return bool(grid.gaps(np.linspace(a, b, count)).min() >= gap)
 
 
 def _spans(obstacle: Obstacle, floor: float, ceiling: float) -> bool:
     """Whether an obstacle bars its place in the plane at all heights."""
     low, height = obstacle.center[2] - obstacle.size[2] / 2, obstacle.size[2]
     return obstacle.kind == "cylinder" and low <= floor + 1e-6 and low + height >= ceiling - 1e-6
-
-
-def _cell(point: Vec3, low: NDArray[np.float64], shape: NDArray[np.int64], flat: bool) -> tuple[int, int, int]:
-    """Indices of the cell a point lies in."""
-    index = np.clip(((np.array(point) - low) / STEP).astype(int), 0, shape - 1)
-    return int(index[0]), int(index[1]), 0 if flat else int(index[2])

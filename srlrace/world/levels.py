@@ -12,18 +12,20 @@ from srlrace.world.obstacles import Obstacle, cylinder, from_config
 
 # Keeps the draws of a map apart from every other random stream that starts from the same small seed.
 MAP_STREAM = 0x7EE5
+FIRST_UNSEEN_SEED = 1_000_000  # of the maps for evaluation; training draws its maps far below
 
 
-def generate_map(track: TrackConfig, level: LevelConfig, map_index: int) -> tuple[Obstacle, ...]:
+def generate_map(track: TrackConfig, level: LevelConfig, map_index: int, attempt: int = 0) -> tuple[Obstacle, ...]:
     """Draw map `map_index` of a level: its trees, then the obstacles of the level and of the track.
 
-    The map's seed is ``level.map_seed + map_index`` and its density ``level.spacings[map_index % len]``. The
-    same arguments give the same map on every machine.
+    The map's seed is ``level.map_seed + map_index`` and its density ``level.spacings[map_index % len]``. Higher
+    attempts draw it anew, for where the first cannot be flown. The same arguments give the same map on every machine.
     """
     fixed = tuple(from_config(o) for o in (*level.obstacles, *track.obstacles))
     if not level.spacings:
         return fixed
-    rng = np.random.default_rng((MAP_STREAM, level.map_seed + map_index))
+    seed = MAP_STREAM, level.map_seed + map_index
+    rng = np.random.default_rng((*seed, attempt) if attempt else seed)
     spacing = level.spacings[map_index % len(level.spacings)]
     places = _keep_clear(_jittered_lattice(track, spacing, rng), track, level.clear_radius + level.tree_radius)
     floor, ceiling = track.bounds_low[2], track.bounds_high[2]

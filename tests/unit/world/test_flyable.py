@@ -1,11 +1,12 @@
-"""The certificate of flyability against walls built by hand, and the choice of unseen maps."""
+"""Clear paths against walls built by hand."""
 
-from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
 import pytest
 
-from srlrace.config import SpacingConfig, TrackConfig
-from srlrace.world.flyable import FIRST_UNSEEN_SEED, is_flyable, unseen_maps
+from srlrace.config import TrackConfig
+from srlrace.world.flyable import clear_path
 from srlrace.world.levels import generate_map
 from srlrace.world.obstacles import cylinder, sphere
 
@@ -19,47 +20,44 @@ def wall(door, height=3.0):
     return [cylinder((0.0, side * y, height / 2), 0.3, height) for y in offsets for side in (-1, 1)]
 
 
+def has_path(track, obstacles):
+    return clear_path(track, obstacles, CLEARANCE) is not None
+
+
 def test_doors() -> None:
-    assert is_flyable(TRACK, [], CLEARANCE)
-    assert is_flyable(TRACK, wall(1.4), CLEARANCE)
-    assert not is_flyable(TRACK, wall(2 * CLEARANCE - 0.02), CLEARANCE)
-    assert not is_flyable(TRACK, wall(0.0), CLEARANCE)
+    assert has_path(TRACK, [])
+    assert has_path(TRACK, wall(1.4))
+    assert not has_path(TRACK, wall(2 * CLEARANCE - 0.02))
+    assert not has_path(TRACK, wall(0.0))
 
 
 def test_low_wall_is_flown_over_and_balls_flown_around() -> None:
-    assert is_flyable(TRACK, wall(0.0, height=1.2), CLEARANCE)
-    assert not is_flyable(TRACK, wall(0.0, height=2.6), CLEARANCE)
-    assert is_flyable(TRACK, [sphere((0.0, 0.0, 1.5), 0.8)], CLEARANCE)
+    assert has_path(TRACK, wall(0.0, height=0.9))
+    assert not has_path(TRACK, wall(0.0, height=2.6))
+    assert has_path(TRACK, [sphere((0.0, 0.0, 1.5), 0.8)])
 
 
 def test_blocked_waypoint() -> None:
-    assert not is_flyable(TRACK, [sphere((4.0, 0.3, 1.5), 0.3)], CLEARANCE)
-    assert not is_flyable(TRACK, [cylinder((-4.0, 0.3, 1.5), 0.3, 3.0)], CLEARANCE)
+    assert not has_path(TRACK, [sphere((4.0, 0.3, 1.5), 0.3)])
+    assert not has_path(TRACK, [cylinder((-4.0, 0.3, 1.5), 0.3, 3.0)])
 
 
-def test_split_s_can_be_flown(split_s, level) -> None:
-    assert is_flyable(split_s, generate_map(split_s, level("split_s"), 0), CLEARANCE)
+@pytest.mark.parametrize("name", ["1", "2", "3"])
+def test_paths_join_all_waypoints_and_stay_clear(forest, level, enumeration, name) -> None:
+    trees = generate_map(forest, level(name), 0)
+    legs = clear_path(forest, trees, CLEARANCE)
+    assert legs is not None
+    stops = np.array([forest.start, *forest.waypoints])
+    assert np.array([leg[0] for leg in legs]) == pytest.approx(stops[:-1])
+    assert np.array([leg[-1] for leg in legs]) == pytest.approx(stops[1:])
+    exact = enumeration(trees)
+    assert min(exact.swept_gap(a, b) for leg in legs for a, b in pairwise(leg)) > CLEARANCE
 
 
-def test_unseen_maps_are_flyable_distinct_and_far_from_training(forest, level) -> None:
-    seeds = unseen_maps(forest, level("3"), 4, 0.17)
-    assert list(seeds) == sorted(set(seeds))
-    assert len(seeds) == 4
-    assert min(seeds) >= FIRST_UNSEEN_SEED
-    assert all(is_flyable(forest, generate_map(forest, level("3"), seed), CLEARANCE) for seed in seeds)
-    assert unseen_maps(forest, level("3"), 2, 0.17) == seeds[:2]
-
-
-def test_unseen_maps_skip_what_cannot_be_flown(level) -> None:
-    """In a narrow hall some forests close the way: they are skipped, and the rest kept in order."""
-    dense = replace(level("3"), spacings=(SpacingConfig(1.6, 0.3),), clear_radius=0.5)
-    seeds = unseen_maps(TRACK, dense, 3, 0.17)
-    skipped = set(range(FIRST_UNSEEN_SEED, seeds[-1])) - set(seeds)
-    assert skipped
-    assert not any(is_flyable(TRACK, generate_map(TRACK, dense, seed), CLEARANCE) for seed in skipped)
-
-
-def test_hopeless_level_is_explained(level) -> None:
-    wood = replace(level("3"), spacings=(SpacingConfig(1.0, 0.0),))
-    with pytest.raises(ValueError, match="are flyable"):
-        unseen_maps(TRACK, wood, 1, 0.17)
+def test_an_open_way_is_straight_and_a_guide_leads_elsewhere(forest) -> None:
+    assert [len(leg) for leg in clear_path(forest, [], CLEARANCE)] == [2] * 9
+    tree = [cylinder((0.0, 0.0, 1.5), 0.5, 3.0)]
+    for side in (-1, 1):
+        guide = np.array([[x, 2.0 * side, 1.5] for x in np.linspace(-4, 4, 50)])
+        (leg,) = clear_path(TRACK, tree, CLEARANCE, guide)
+        assert leg[np.argmin(np.abs(leg[:, 0])), 1] * side > 0.5

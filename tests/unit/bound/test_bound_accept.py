@@ -1,0 +1,154 @@
+"""The acceptance tests: the shipped references pass them, and anything bent does not. No solver takes part."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from srlrace.bound.accept import Rejected, accept
+from srlrace.bound.problem import problem_of
+from srlrace.bound.store import SHIPPED, load, save
+from srlrace.bound.trajectory import NODES
+from srlrace.hydra_bridge import compose
+from srlrace.world.obstacles import sphere
+
+
+@pytest.fixture
+def solved():
+    problem = problem_of(compose(["env=forest", "level=none"]))
+    reference = load(problem)
+    assert reference is not None
+    return problem, reference
+
+
+def bent(trajectory, **parts):
+    """A copy with rows replaced: state=(row, column, value)."""
+    copies = {"state": trajectory.state.copy(), "thrust": trajectory.thrust.copy(), "step": trajectory.step.copy()}
+    for name, (place, value) in parts.items():
+        copies[name][place] = value
+    return dataclasses.replace(trajectory, **copies)
+
+
+def test_the_shipped_one_passes(solved):
+    problem, reference = solved
+    accept(problem, reference.trajectory, reference.point_mass_time)
+    assert reference.point_mass_time < reference.time <= reference.times.min() + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("part", "place", "value", "reason"),
+    [
+        ("state", (30, 0), 0.0, "off a finer integration"),
+        ("state", (5, 4), np.nan, "not finite"),
+        ("thrust", (7, 1), 9.0, r"finer integration|rotor leaves its range"),
+        ("step", 3, 0.04, "off a finer integration"),
+    ],
+)
+def test_another_motion_is_refused(solved, part, place, value, reason):
+    problem, reference = solved
+    with pytest.raises(Rejected, match=reason):
+        accept(problem, bent(reference.trajectory, **{part: (place, value)}), 0.0)
+
+
+def test_a_long_quaternion_is_refused(solved):
+    """Twice the quaternion is the same attitude: only the test of its norm sees it."""
+    problem, reference = solved
+    state = reference.trajectory.state.copy()
+    state[:, 6:10] *= 1.002
+    with pytest.raises(Rejected, match="norm is off by"):
+        accept(problem, dataclasses.replace(reference.trajectory, state=state), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"passing_radius": 0.2}, "misses a waypoint"),
+        ({"bounds_high": (26.0, 14.0, 3.0)}, "leaves the world"),
+        ({"start": (-25.0, 0.0, 1.2)}, "at rest at the start"),
+        ({"stop": True}, "does not end at rest"),
+        ({"obstacles": (sphere((-15.0, -5.0, 1.12), 0.5),), "keep_out": 0.25}, "of an obstacle"),
+    ],
+)
+def test_another_task_refuses_it(solved, changes, reason):
+    problem, reference = solved
+    with pytest.raises(Rejected, match=reason):
+        accept(dataclasses.replace(problem, **changes), reference.trajectory, 0.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("body_rate_max", (5.0, 6.0, 2.0)), ("thrust_max", 8.0)])
+def test_a_weaker_quadrotor_refuses_it(solved, name, value):
+    problem, reference = solved
+    weaker = dataclasses.replace(problem, quad=dataclasses.replace(problem.quad, **{name: value}))
+    with pytest.raises(Rejected, match=r"exceeds its limit|leaves its range"):
+        accept(weaker, reference.trajectory, 0.0)
+
+
+def test_faster_than_a_point_mass_is_refused(solved):
+    problem, reference = solved
+    with pytest.raises(Rejected, match="beat the point mass"):
+        accept(problem, reference.trajectory, reference.time * 1.01)
+
+
+def test_a_lap_that_does_not_close_is_refused():
+    problem = problem_of(compose(["env=split_s", "level=none"]))
+    reference = load(problem)
+    state = reference.trajectory.state.copy()
+    state[:, 6:10] *= -1  # the same attitudes
+    accept(problem, dataclasses.replace(reference.trajectory, state=state), 0.0)
+    state[-1, 3] += 2e-4
+    with pytest.raises(Rejected, match="does not close"):
+        accept(problem, dataclasses.replace(reference.trajectory, state=state), 0.0)
+
+
+def test_obstacles_only_cost_time():
+    """Whatever ships with obstacles is bracketed below by the same track without."""
+    for words, most in ((["env=forest", "level=1"], 1.05), (["env=forest", "level=2"], 1.05),
+                        (["env=split_s"], 1.05)):  # fmt: skip
+        config = compose(words)
+        cluttered, free = load(problem_of(config)), load(problem_of(config, obstacles=False))
+        assert free.time < cluttered.time < most * free.time
+
+
+def test_a_damaged_store_is_no_reference(solved, tmp_path, monkeypatch):
+    problem, reference = solved
+    monkeypatch.setattr("srlrace.bound.store.SHIPPED", tmp_path / "nothing")
+    assert load(problem) is None
+    path = save(problem, reference)
+    assert load(problem).time == reference.time
+    content = path.read_bytes()
+    for damaged in (content[:5000], b"", b"no archive"):
+        path.write_bytes(damaged)
+        assert load(problem) is None
+    faster = dataclasses.replace(reference.trajectory, step=reference.trajectory.step * 0.9)
+    save(problem, dataclasses.replace(reference, trajectory=faster))
+    assert load(problem) is None
+
+
+def test_every_shipped_file_is_a_whole_reference():
+    files = list(SHIPPED.glob("*.npz"))
+    assert files
+    for path in files:
+        with np.load(path, allow_pickle=False) as data:
+            assert data["state"].shape == (NODES * len(data["step"]) + 1, 13)
+            assert data["times"].min() == pytest.approx(NODES * data["step"].sum(), abs=1e-6)
+
+
+def test_a_report_has_its_references_without_the_solver():
+    """Casadi is made impossible to import; every cell on a training map of one kind has its T_ref."""
+    program = """
+import sys
+sys.modules["casadi"] = None
+from srlrace.hydra_bridge import compose
+from srlrace.report.reference import cell_reference
+for words in ("env=forest", "env=split_s", "env=forest level=none"):
+    print(cell_reference(compose(words.split()), "train_map"))
+assert "torch" not in sys.modules and "numba" not in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    forest, split_s, free = map(float, done.stdout.split())
+    assert 4.5 < free < forest < 4.8
+    assert 5.0 < split_s < 5.2
