@@ -76,6 +76,7 @@ def problem_of(config: Config, kind: str = "lap", stop: bool = False, obstacles:
     """
     track = config.env
     lap = track.laps > 0 and kind == "lap"
+    drawn = generate_map(track, config.level, 0) if obstacles else ()
     return Problem(
         waypoints=tuple(track.waypoints[i] for i in passing_order(track, lap)),
         start=None if lap else track.start,
@@ -84,8 +85,8 @@ def problem_of(config: Config, kind: str = "lap", stop: bool = False, obstacles:
         bounds_low=track.bounds_low,
         bounds_high=track.bounds_high,
         quad=config.quad,
-        obstacles=generate_map(track, config.level, 0) if obstacles else (),
-        keep_out=config.quad.arm_length + config.level.safety_margin if obstacles else 0.0,
+        obstacles=drawn,
+        keep_out=config.quad.arm_length + config.level.safety_margin if drawn else 0.0,
     )
 
 
