@@ -7,7 +7,6 @@ one that was disturbed least. Rates are environment steps per second, one step b
 
 from __future__ import annotations
 
-import itertools
 import json
 import platform
 import statistics
@@ -21,10 +20,12 @@ import numpy as np
 import torch
 from rich.console import Console
 from rich.table import Table
+from stable_baselines3 import PPO
 
 from srlrace.config import Config
 from srlrace.files import atomic_write
 from srlrace.hydra_bridge import compose
+from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.ppo import build_ppo
 from srlrace.provenance import cpu_name, versions
 from srlrace.sim.dynamics import advance
@@ -111,24 +112,27 @@ def bench_vec_env(config: Config) -> Row:
     return Row("VecEnv step", f"race step and SB3 interface, {obstacles} obstacles", "float32", DRONES, 1, best, median)
 
 
-def bench_training(config: Config) -> Row:
-    """Time whole training iterations: rollout and update."""
-    env = RaceVecEnv(config)
-    model = build_ppo(config, env)
+def bench_training(config: Config) -> list[Row]:
+    """Time whole training iterations, rollout and update, in turn with those of stock SB3 at the same settings."""
     algo = config.algo
     batch = algo.n_envs * algo.n_steps
-    marks: list[float] = []
-
-    def mark(_: Any, __: Any) -> bool:
-        marks.append(time.perf_counter())
-        return True
-
-    model.learn(batch * (ROUNDS + 1), mark)
-    marks = [*marks[:: algo.n_steps], time.perf_counter()]
-    figures = [batch / (b - a) for a, b in itertools.pairwise(marks[1:])]
+    learners = {"training": LeanPPO, "training, stock SB3": PPO}
+    models = [build_ppo(config, RaceVecEnv(config), learner) for learner in learners.values()]
+    seconds: list[list[float]] = [[] for _ in models]
+    for _ in range(ROUNDS + 1):
+        for model, spent in zip(models, seconds, strict=True):
+            began = time.perf_counter()
+            model.learn(batch, reset_num_timesteps=False)
+            spent.append(time.perf_counter() - began)
+    seconds = [spent[1:] for spent in seconds]  # the first rounds compile and allocate
+    ratio = statistics.median(stock / lean for lean, stock in zip(*seconds, strict=True))
     network = "-".join(str(units) for units in algo.policy_layers)
     work = f"{algo.n_envs} x {algo.n_steps}, batch {algo.batch_size}, {algo.n_epochs} epochs, net {network}"
-    return Row("training", work, "float32", algo.n_envs, algo.threads, max(figures), statistics.median(figures))
+    notes = (f"{work}; {ratio:.2f} times stock SB3", work)
+    return [
+        Row(what, note, "float32", algo.n_envs, algo.threads, batch / min(spent), batch / statistics.median(spent))
+        for what, note, spent in zip(learners, notes, seconds, strict=True)
+    ]
 
 
 def measure() -> list[Row]:
@@ -144,7 +148,7 @@ def measure() -> list[Row]:
         bench_race(compose(["observation=rays"]), "race step, rays"),
         bench_race(config, "race step, many drones", 1000),
         bench_vec_env(config),
-        bench_training(config),
+        *bench_training(config),
     ]
 
 

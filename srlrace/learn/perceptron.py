@@ -61,10 +61,12 @@ def load_weights(memory, layers, parameters):
         forward_at, backward_at, at = layers[layer, WEIGHT], layers[layer, BACKWARD_WEIGHT], layers[layer, PARAMETERS]
         for o in range(outputs):
             for i in range(inputs):
-                weight = parameters[at + o * inputs + i]
-                memory[forward_at + i * width + o] = weight
-                memory[backward_at + o * input_width + i] = weight
+                memory[backward_at + o * input_width + i] = parameters[at + o * inputs + i]
             memory[forward_at + inputs * width + o] = parameters[at + outputs * inputs + o]
+        for first in range(0, outputs, LANES):  # a few rows at a time stay in the cache
+            for i in range(inputs):
+                for o in range(first, min(first + LANES, outputs)):
+                    memory[forward_at + i * width + o] = parameters[at + o * inputs + i]
 
 
 @kernel

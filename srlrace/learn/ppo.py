@@ -29,11 +29,11 @@ class LinearSchedule:
         return self.end + (self.start - self.end) * remaining
 
 
-def build_ppo(config: Config, env: RaceVecEnv) -> PPO:
+def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> PPO:
     """Build PPO as configured, seeded, on ``env``."""
     algo: AlgoConfig = config.algo
     torch.set_num_threads(algo.threads)
-    model = LeanPPO(
+    model = learner(
         "MlpPolicy",
         env,
         learning_rate=LinearSchedule(algo.learning_rate, algo.learning_rate_final),

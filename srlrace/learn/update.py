@@ -47,33 +47,50 @@ def advantage_scale(advantages, order, normalise):
 
 @kernel
 def policy_gradient(
-    memory, last, rows, actions, old_log_probs, advantages, log_std, scale, clip, weight, out, gradient
-):
+    memory, last, rows, actions, old_log_probs, advantages, scale, log_std, log_std_gradient, clip, weight, out
+):  # fmt: skip
     """Write the gradient of the clipped objective for the samples of a block; add up statistics and log_std's gradient.
 
-    `last` is the row of the policy's last layer, `weight` one over the size of the minibatch.
+    `last` is the row of the policy's last layer, `scale` what `advantage_scale` returned, `weight` one over the size of
+    the minibatch.
     """
     mean, deviation = scale
+    constant = standardise(memory, last, rows, actions, log_std)
     for n in range(len(rows)):
-        row = rows[n]
-        output, d = last[OUTPUT] + n * last[WIDTH], last[OUTPUT_GRADIENT] + n * last[WIDTH]
-        log_ratio = -old_log_probs[row]
-        for k in range(len(log_std)):
-            z = (actions[row, k] - memory[output + k]) * math.exp(-log_std[k])
-            log_ratio -= 0.5 * z * z + log_std[k] + LOG_SQRT_TAU
+        output, gradient = last[OUTPUT] + n * last[WIDTH], last[OUTPUT_GRADIENT] + n * last[WIDTH]
+        z, d = memory[output : output + len(log_std)], memory[gradient : gradient + len(log_std)]
+        squares = 0.0
+        for k in range(len(z)):
+            squares += z[k] * z[k]
+        log_ratio = -0.5 * squares - constant - old_log_probs[rows[n]]
         ratio = math.exp(log_ratio)
-        advantage = (advantages[row] - mean) / deviation
+        advantage = (advantages[rows[n]] - mean) / deviation
         surrogate, clipped = advantage * ratio, advantage * min(max(ratio, 1.0 - clip), 1.0 + clip)
         # The gradient flows where the clipped objective is not the smaller one.
         flow = -weight * surrogate if surrogate <= clipped else 0.0
-        for k in range(len(log_std)):
-            inverse = math.exp(-log_std[k])
-            z = (actions[row, k] - memory[output + k]) * inverse
-            memory[d + k] = flow * z * inverse
-            gradient[k] += flow * (z * z - 1.0)
+        for k in range(len(z)):
+            log_std_gradient[k] += flow * (z[k] * z[k] - 1.0)
+            d[k] *= flow * z[k]
         out[POLICY_LOSS] -= weight * min(surrogate, clipped)
         out[KL] += weight * (ratio - 1.0 - log_ratio)
         out[CLIP_FRACTION] += weight * (abs(ratio - 1.0) > clip)
+
+
+@kernel
+def standardise(memory, last, rows, actions, log_std):
+    """Replace the means of the actions by (action - mean) / std and set their gradients to 1 / std.
+
+    Returns the constant of the Gaussian's log density.
+    """
+    constant = 0.0
+    for k in range(len(log_std)):
+        constant += log_std[k] + LOG_SQRT_TAU
+        inverse = np.float32(math.exp(-log_std[k]))
+        for n in range(len(rows)):
+            place = n * last[WIDTH] + k
+            memory[last[OUTPUT] + place] = (actions[rows[n], k] - memory[last[OUTPUT] + place]) * inverse
+            memory[last[OUTPUT_GRADIENT] + place] = inverse
+    return constant
 
 
 @kernel
@@ -111,8 +128,8 @@ def gradient_step(
                 memory[x + n * width + k] = observations[rows[n], k]
         forward(memory, actor, activation, count)
         policy_gradient(
-            memory, actor[len(actor) - 1], rows, actions, old_log_probs, advantages, log_std, scale, clip, weight,
-            out, log_std_gradient,
+            memory, actor[len(actor) - 1], rows, actions, old_log_probs, advantages, scale,
+            log_std, log_std_gradient, clip, weight, out,
         )  # fmt: skip
         backward(memory, actor, activation, count)
         forward(memory, critic, activation, count)

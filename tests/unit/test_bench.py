@@ -24,6 +24,16 @@ def test_rows(config):
     assert rows[0].work == f"nearest 10 of {trees} obstacles"
 
 
+@pytest.mark.usefixtures("short")
+def test_training_is_timed_beside_stock_sb3(config):
+    words = ("level=none", "algo.n_envs=4", "algo.n_steps=8", "algo.batch_size=16", "algo.policy_layers=[8]")
+    lean, stock = bench.bench_training(config(*words))
+    assert (lean.what, stock.what) == ("training", "training, stock SB3")
+    assert lean.work.startswith(stock.work)
+    assert lean.work.endswith("times stock SB3")
+    assert float(lean.work.split()[-4]) == pytest.approx(lean.median / stock.median, abs=0.01)
+
+
 def test_a_rate_is_steps_times_drones_by_seconds(monkeypatch):
     clock = iter([0.0, 0.0, 1.0, 1.0, 2.0, 2.0])
     monkeypatch.setattr(bench, "ROUNDS", 1)
