@@ -1,6 +1,7 @@
 # make demo    train on the Forest, evaluate 1000 episodes, record them, print the report
 # make test    run the tests
 # make lint    ruff and mypy
+# make soak    the tests of failures in full: 200 kills, every failing operation, the whole corpus of hostile runs
 # make bench   throughput on this machine
 # make cluster          sweeps on a Slurm of this machine and on a Ray of two nodes, with failures (Debian, as root)
 # make cluster-scaling  what a sweep costs besides the runs: 1 and 2 workers, 10 000 run folders
@@ -15,7 +16,7 @@ STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum |
 NODE_MODULES := tests/readers/node_modules
 AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench pictures reference readers browser-tools cluster cluster-scaling clean
+.PHONY: demo test lint bench pictures reference readers browser-tools cluster cluster-scaling soak clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -79,6 +80,10 @@ cluster: $(STAMP)
 
 cluster-scaling: $(STAMP)
 	$(BIN)/python tests/cluster/scaling.py
+
+# Kills, failing disks, damage, signals, hostile runs, in full: a quarter of an hour on two quiet cores.
+soak: $(STAMP)
+	SRLRACE_SOAK=1 $(BIN)/python -m pytest tests/failures -v --durations=10
 
 clean:
 	rm -rf $(VENV) $(NODE_MODULES) $(AXE) .pytest_cache .mypy_cache .ruff_cache .hypothesis
