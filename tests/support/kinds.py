@@ -11,7 +11,7 @@ ROLLOUT = 128  # steps of a rollout of these runs
 KINDS = {
     "plain": ("level=none", "curriculum=none", "randomization=none"),
     "curriculum": ("level=1", "curriculum.cost_hold=0.1", "curriculum.cost_ramp=0.9", "env.horizon=1"),
-    "buffers": ("level=1", "curriculum.gate_starts=0.3", "curriculum.memory_starts=0.5", "env.horizon=1"),
+    "buffers": ("level=1", "curriculum.gate_starts=0.3", "curriculum.memory_starts=0.4", "env.horizon=1"),
     "mixed": ("level=mixed", "level.maps=5", "observation=rays", "env.horizon=1"),
     "randomized": ("level=2", "randomization=full", "randomization.maps=3", "env.horizon=0.6"),
     "laps": ("env=split_s", "env.horizon=1"),
@@ -21,7 +21,7 @@ KINDS = {
     "two_threads": ("level=1", "algo.threads=2", "observation=relative"),
 }
 
-SHORT = ("level=1", "curriculum.memory_starts=0.5", "env.horizon=0.3", "algo.total_steps=384")  # where many are needed
+SHORT = ("level=1", "curriculum.memory_starts=0.4", "env.horizon=0.3", "algo.total_steps=384")  # where many are needed
 
 
 def words(kind: str, seed: int = 0) -> list[str]:
