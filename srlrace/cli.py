@@ -282,6 +282,24 @@ def bench(
     run(json)
 
 
+@app.command("export")
+def export_policy(
+    run: RunArgument,
+    to: Annotated[str, typer.Option("--to", metavar="onnx|sb3", help="For deployment, or for Stable-Baselines3.")],
+    out_file: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Default: ./<run>.onnx or ./<run>.zip.")
+    ] = None,
+    runs: RunsOption = None,
+) -> None:
+    """Write a trained policy for use elsewhere."""
+    from srlrace.runs import find, runs_root
+
+    chosen = find(runs_root(runs), run)
+    from srlrace.export import export
+
+    say(f"wrote {export(chosen, to, out_file)}")
+
+
 @app.command()
 def recover(file: Annotated[Path, typer.Argument(metavar="FILE.mcap.part")]) -> None:
     """Turn what an interrupted recording has into a complete file, beside it."""
