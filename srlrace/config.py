@@ -11,12 +11,13 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from srlrace.checks import check
 from srlrace.files import FileError, read_json
-from srlrace.parse import ConfigError, parse
+from srlrace.parse import ConfigError, parse, parse_value
 from srlrace.schema import (
     AlgoConfig,
     Config,
@@ -70,11 +71,25 @@ def parse_config(data: Mapping[str, Any]) -> Config:
 def load_config(path: Path) -> Config:
     """Read a stored ``config.json``; raises `ConfigError` naming the file."""
     try:
-        return parse_config(read_json(path))
+        return _parse_stored(read_json(path))
     except FileError as error:
         raise ConfigError(str(error)) from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+def _parse_stored(data: dict[str, Any]) -> Config:
+    """The same as `parse_config`, but what differs only in the seed, as the runs of a sweep do, is checked once."""
+    if "seed" not in data:
+        return parse_config(data)
+    seed = {field.name: field for field in dataclasses.fields(Config)}["seed"]
+    value = parse_value(int, seed.metadata, data["seed"], "seed")
+    return dataclasses.replace(_parse_text(json.dumps({**data, "seed": 0})), seed=value)
+
+
+@lru_cache(maxsize=64)  # a study has dozens of presets
+def _parse_text(text: str) -> Config:
+    return parse_config(json.loads(text))
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from srlrace.console import clean, out, say
 from srlrace.parse import nearest, show
 from srlrace.sweep.crew import Crew
 from srlrace.sweep.lease import Leases, describe
-from srlrace.sweep.pace import Pace, duration, read_pace, together
+from srlrace.sweep.pace import Pace, roughly, read_pace, together
 from srlrace.sweep.plan import Job, Plan, experiments, plan_jobs
 from srlrace.sweep.resources import Resources
 from srlrace.sweep.slurm import queued, submit
@@ -88,10 +88,10 @@ def _show(todo: Sequence[Job], pace: Pace, size: int, root: Path, waiting: dict[
         holder = job.folder.holder() or (describe(seen) if seen else "")
         held = f"; held by {holder}" if holder else ""
         held = f"; in Slurm's queue as {waiting[job.folder.id]}" if job.folder.id in waiting else held
-        line = f"{job.folder.id}: {train}{missing}; {duration(seconds)}{held}"
+        line = f"{job.folder.id}: {train}{missing}; {roughly(seconds)}{held}"
         out.print(clean(line), markup=False, soft_wrap=True)
     size = max(1, min(size, len(todo)))
-    expected = f", about {duration(together(left, size))} with {size} at a time ({pace.source})" if todo else ""
+    expected = f", about {roughly(together(left, size))} with {size} at a time ({pace.source})" if todo else ""
     say(f"{len(todo)} runs to train or evaluate{expected}")
 
 

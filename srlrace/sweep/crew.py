@@ -24,7 +24,7 @@ from srlrace.console import clean, err, fail, say
 from srlrace.orphans import followed
 from srlrace.signals import handling
 from srlrace.sweep.lease import LOST, PATIENCE, Lease, Leases, describe
-from srlrace.sweep.pace import Pace, duration, together
+from srlrace.sweep.pace import Pace, roughly, together
 from srlrace.sweep.plan import Job, Plan
 
 PROGRAM = (sys.executable, "-m", "srlrace")
@@ -185,7 +185,7 @@ class Forecast:
         """What follows the news that a run is complete."""
         if not self.left or self.total == 1:
             return ""
-        return f" ({self.total - len(self.left)} of {self.total} runs; {duration(self.remaining())} to go)"
+        return f" ({self.total - len(self.left)} of {self.total} runs; {roughly(self.remaining())} to go)"
 
     def display(self) -> Progress:
         """Bars for the whole and for each run at work, on a terminal."""
@@ -209,6 +209,6 @@ class Forecast:
                 display.remove_task(task.id)
         for name, fraction in rows.items():
             found = next((task.id for task in display.tasks if task.description == name), None)
-            eta = f"{duration(self.remaining())} to go" if name == whole else ""
+            eta = f"{roughly(self.remaining())} to go" if name == whole else ""
             bar = display.add_task(name, total=1.0, eta=eta) if found is None else found
             display.update(bar, completed=fraction, eta=eta)

@@ -78,7 +78,7 @@ def together(seconds: Sequence[float], size: int) -> float:
     return max(sum(seconds) / size, *seconds) if seconds else 0.0
 
 
-def duration(seconds: float) -> str:
+def roughly(seconds: float) -> str:
     """A time to be expected, in words."""
     minutes = round(seconds / 60)
     if minutes < 1:

@@ -1,0 +1,57 @@
+"""Sweeps on a Ray of two nodes: a worker, a node and the sweep itself killed, then repeated."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+from clusters import STEPS, Engine, assert_same, at_work, attempts, await_, console_lines, family, processes
+
+SWEEP = ("sweep", "smoke", "--steps", str(STEPS), "--seeds", "3", "--launcher", "ray", "--memory", "0.5")
+
+
+def training(runs: Path, seed: int) -> list[int]:
+    """The processes that train a run."""
+    return processes("train ", f"seed={seed} ", str(runs))
+
+
+def kill(pids: list[int]) -> None:
+    """Kill processes that may be gone."""
+    for pid in pids:
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+
+
+def test_a_worker_a_node_and_the_sweep_killed(ray_cluster: Engine, reference: Path, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    sweep = (*SWEEP, "--runs", str(runs))
+    first = ray_cluster.start(sys.executable, "-m", "srlrace", *sweep)
+
+    await_(lambda: at_work(runs, 0))
+    [killed] = runs.glob("*-s0-*")
+    kill(processes("ray::", killed.name))  # a worker; Ray starts the task anew
+    await_(lambda: attempts(killed) == 2 or (killed / "policy.safetensors").exists())
+    kill(family(ray_cluster.processes[1].pid))  # the second node
+    await_(lambda: (killed / "policy.safetensors").exists())  # the first goes on
+    await_(lambda: any(training(runs, seed) for seed in range(3)) and any(at_work(runs, seed) for seed in range(3)))
+    first.kill()  # the sweep
+    await_(lambda: not processes("srlrace", str(runs)), 60)  # nobody trains on for a sweep that is gone
+    assert "1 runs" not in ray_cluster.srlrace(*sweep, "--dry-run") or attempts(killed) == 2
+
+    ray_cluster.srlrace(*sweep)
+    assert_same(runs, reference, 3)
+    assert not list((runs / ".leases").iterdir())
+
+
+def test_from_a_laptop_to_ray_in_five_lines(ray_cluster: Engine, tmp_path: Path) -> None:
+    lines = console_lines("cluster.md", "Ray")
+    assert len(lines) <= 5
+    ray_cluster.variables |= {"SRLRACE_RUNS": str(tmp_path / "runs")}
+    for line in lines:
+        if line.startswith("srlrace"):
+            ray_cluster.srlrace(*line.split()[1:], "--memory", "0.5")
+    assert len(list((tmp_path / "runs").glob("*/eval/train_map/summary.json"))) == 2
