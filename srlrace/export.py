@@ -78,7 +78,7 @@ def onnx_bytes(policy: ActorCriticPolicy) -> bytes:
         else:
             nodes.append(helper.make_node(ACTIVATIONS[type(layer)], [name], [f"layer{index}"]))
         name = f"layer{index}"
-    weights += [numpy_helper.from_array(np.float32(limit), key) for key, limit in (("low", -1), ("high", 1))]
+    weights += [numpy_helper.from_array(np.array(limit, np.float32), key) for key, limit in (("low", -1), ("high", 1))]
     nodes.append(helper.make_node("Clip", [name, "low", "high"], ["action"]))
     size = policy.observation_space.shape[0] if policy.observation_space.shape else 0
     given = helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", size])
