@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-STEPS = 200_000  # of a training that lasts long enough to be interrupted
+STEPS = 600_000  # of a training that lasts long enough to be interrupted
 
 
 @dataclass
