@@ -7,6 +7,8 @@
 # make cluster-scaling  what a sweep costs besides the runs: 1 and 2 workers, 10 000 run folders
 # make reference         publish the finished runs: runs/* to runs/reference/*, without checkpoints and recordings
 # make pictures RUN=...   the README's picture, from a run that was evaluated with a recording
+# make replay-pictures    the replay's pictures in docs/images, from the published runs (Chromium)
+# make vendor             bundle three.js anew for the replay page (npm)
 # Both build the same virtual environment first. PYTHON and VENV may be set on the command line.
 
 PYTHON ?= python3
@@ -16,7 +18,7 @@ STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum |
 NODE_MODULES := tests/readers/node_modules
 AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench pictures reference readers browser-tools cluster cluster-scaling soak clean
+.PHONY: demo test lint bench pictures reference readers browser-tools replay-pictures vendor cluster cluster-scaling soak clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -39,6 +41,18 @@ pictures: $(STAMP)
 	mkdir -p docs/images
 	cp results/figures/$(RUN)-train_map.png docs/images/forest.png
 
+REPLAY_RUNS ?= runs/reference
+REPLAY_FOREST ?= forest-srl-s0
+REPLAY_SPLIT_S ?= split_s-song-s0
+replay-pictures: $(STAMP) browser-tools
+	$(BIN)/python docs/images/replay_pictures.py $(REPLAY_RUNS) $(REPLAY_FOREST) $(REPLAY_SPLIT_S) results
+
+THREE := srlrace/replay/web/three
+vendor:
+	npm ci --silent --no-audit --no-fund --prefix $(THREE)
+	npm run --silent --prefix $(THREE) build
+	cp $(THREE)/node_modules/three/LICENSE $(THREE)/LICENSE
+
 reference:
 	@for policy in runs/*/policy.safetensors; do \
 		run=$$(dirname $$policy); target=runs/reference/$$(basename $$run); mkdir -p $$target; \
@@ -56,7 +70,7 @@ readers:
 browser-tools:
 	@if ! command -v chromium >/dev/null && command -v apt-get >/dev/null && test "$$(id -u)" = 0; then \
 		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium \
-			>/dev/null; fi || true
+			fonts-inter >/dev/null; fi || true
 	@command -v chromium >/dev/null || echo "chromium not found: the tests of HTML pages will be skipped"
 	@if command -v npm >/dev/null; then \
 		test -d $(AXE) || npm ci --silent --no-audit --no-fund --prefix tests/browser; \

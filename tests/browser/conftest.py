@@ -80,14 +80,15 @@ def browsers() -> Iterator[Callable[..., Any]]:
 def visit(browsers: Callable[..., Any]) -> Iterator[Callable[..., Visit]]:
     """``visit(file)``: open a page; after the test it must have logged no error and asked nothing of the network.
 
-    ``size`` in CSS pixels, ``scale`` device pixels per CSS pixel, ``scheme`` light or dark, ``webgl`` False for a
-    browser without it, ``reduced_motion`` for a person who asked for less.
+    ``fragment`` follows the address's #; ``size`` in CSS pixels, ``scale`` device pixels per CSS pixel, ``scheme``
+    light or dark, ``webgl`` False for a browser without it, ``reduced_motion`` for a person who asked for less.
     """
     opened: list[Visit] = []
 
     def open_page(
         file: Path,
         *,
+        fragment: str = "",
         size: tuple[int, int] = (1280, 800),
         scale: float = 1,
         scheme: str = "light",
@@ -103,11 +104,11 @@ def visit(browsers: Callable[..., Any]) -> Iterator[Callable[..., Visit]]:
             reduced_motion="reduce" if reduced_motion else "no-preference",
             has_touch=touch,
         )
-        context.set_default_timeout(20_000)  # ms; a page that hangs fails its test
+        context.set_default_timeout(120_000)  # ms; a page that hangs fails its test, a slow machine does not
         visited = Visit(context.new_page())
         visited.watch()
         opened.append(visited)
-        visited.page.goto(file.absolute().as_uri())
+        visited.page.goto(file.absolute().as_uri() + (f"#{fragment}" if fragment else ""))
         return visited
 
     yield open_page
