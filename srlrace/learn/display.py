@@ -61,14 +61,18 @@ class Display:
 
     def show(self, row: dict[str, Any]) -> None:
         """Show the newest row of progress."""
-        self._rows.append(row)
-        self._speeds.append(row["steps_per_s"])
+        self.add(row)
         if self._console.is_terminal and time.monotonic() - self._drawn >= REDRAW_EVERY:
             self._live.update(self.panel(), refresh=True)
             self._drawn = time.monotonic()
         if row["wall_s"] - self._last_line >= LINE_EVERY or row["steps"] >= self._total:
             self._last_line = row["wall_s"]
             self._say(self.line())
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Take in a row of progress without showing anything."""
+        self._rows.append(row)
+        self._speeds.append(row["steps_per_s"])
 
     def line(self) -> str:
         """Return the newest row in one line."""

@@ -88,9 +88,9 @@ def read_course(recording: Path, config: Config, flights: int = FLIGHTS) -> Cour
 
 
 def fly_course(run: Run, flights: int = FLOWN_AGAIN) -> Course:
-    """Fly the first episodes of a run's evaluation again; the course says whether they are the evaluated ones.
+    """Fly the first episodes of a run's evaluation again.
 
-    Raises RunError or ValueError for a policy that cannot be used.
+    Raises RunError or ValueError for a policy that cannot be used, or that does not fly as it was evaluated.
     """
     from srlrace.evaluation.episodes import episode_rows
     from srlrace.evaluation.flights import fly
@@ -98,11 +98,15 @@ def fly_course(run: Run, flights: int = FLOWN_AGAIN) -> Course:
     from srlrace.learn.policy import load_policy
 
     folder = RunFolder(run.path)
+    flights = min(flights, len(run.evaluations["train_map"].episode))
     suite = make_suite(run.config, "train_map")
     race, history = fly(load_policy(run.config, folder.file("policy.safetensors")), suite, flights, flights)
     assert history is not None
     flown = list(history.flights(suite, race, episode_rows(suite, race)))
-    return _course(flown, run.config, f"flown again from the policy: {_agreement(run, flown)}")
+    same = _agreeing(run, flown)
+    if same < len(flown):
+        raise RunError(f"flown again, only {same} of {len(flown)} flights end as in episodes.csv; none is drawn")
+    return _course(flown, run.config, f"{same} flights flown again from the policy, all ending as in its episodes.csv")
 
 
 def _course(flights: Sequence[Flight], config: Config, origin: str) -> Course:
@@ -114,12 +118,10 @@ def _course(flights: Sequence[Flight], config: Config, origin: str) -> Course:
     return Course(trajectories, placed, flights[0].scene, config, origin)
 
 
-def _agreement(run: Run, flights: Sequence[Flight]) -> str:
-    """Say how many of the flights end as ``episodes.csv`` says."""
-    evaluation = run.evaluations["train_map"]
-    known = min(len(flights), len(evaluation.episode))
-    same = 0
-    for flight, outcome, time in zip(flights[:known], evaluation.outcome, evaluation.total_time_s, strict=False):
+def _agreeing(run: Run, flights: Sequence[Flight]) -> int:
+    """Return how many of the flights end as ``episodes.csv`` says."""
+    evaluation, same = run.evaluations["train_map"], 0
+    for flight, outcome, time in zip(flights, evaluation.outcome, evaluation.total_time_s, strict=False):
         near = flight.finish_time is None or abs(flight.finish_time - time) <= SAME_TIME
         same += bool(flight.outcome == outcome and near)
-    return f"{same} of {known} end as in its episodes.csv"
+    return same

@@ -23,6 +23,7 @@ from srlrace.report.plots import Plot
 from srlrace.report.style import DARK, NAMES
 
 TITLE = "Time-optimal flight through clutter: results beside the paper's"
+NO_FLIGHTS = "No flights are drawn: there is no recording, and none could be flown again that ends as it was evaluated."
 HERE = Path(__file__).parent
 
 
@@ -61,6 +62,8 @@ def _table_section(table: Table, plots: Sequence[Plot]) -> Html:
     )
     notes = [tag("ul", *(tag("li", note) for note in table.notes), class_="notes")] if table.notes else []
     figures = [figure_html(plot) for plot in (*results, *(plot for plot in plots if plot not in results))]
+    if len(results) < len(plots) and not any(plot.name.endswith("-trajectories") for plot in plots):
+        notes.append(tag("p", NO_FLIGHTS, class_="notes"))
     return _section(name, heading(table), table_html(table), *compared, *notes, *figures)
 
 
