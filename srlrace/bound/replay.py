@@ -1,8 +1,8 @@
 """A reference flown open loop through the race's own simulator, and judged by the race's own rules.
 
-Nothing of the solver is used: the vehicle is `srlrace.sim`, the swept tests are `srlrace.world`'s. The commands are the
-planned collective and, through the rate controller turned around, the planned body rates and torques; no state is fed
-back to the plan.
+Nothing of the solver is used: the vehicle is `srlrace.sim`, the swept tests are `srlrace.world`'s. The rate controller
+would steer back to the plan; with next to no gain and commands as much larger, what is left of it is its mixer, and the
+rotors turn as planned whatever becomes of the flight.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from srlrace.sim.airframe import Airframe
 from srlrace.sim.dynamics import advance
 from srlrace.world.field import ObstacleField, pass_waypoint, swept_gap
 
-TICKS = 32  # commands in a shooting interval: one every 0.8 ms or so
-SUBSTEPS = 8  # RK4 steps in each: 0.1 ms
-# RK4 cannot follow a lag much shorter than its step: its factor 1 - z + z^2/2 - z^3/6 + z^4/24, z = step / lag, is
-# least, 0.27, at z = 1.6. With that the thrust is 2 % off its target after three steps, 0.3 ms.
-STEP_PER_LAG = 1.596
+TICKS = 128  # commands in a shooting interval: one every 0.2 ms or so
+SUBSTEPS = 64  # RK4 steps in each: 0.003 ms
+# The rotor lag cannot be zero; RK4 follows one of 2.5 steps like an exponential whatever the step, so that the whole
+# flight is late by the same 0.008 ms. Were the lag another one in each segment, their difference would leave a spin.
+STEPS_PER_LAG = 2.5
+GAIN = 1e-6  # 1/s: a rate error of 1 rad/s then moves a torque by one part in a hundred million
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +37,18 @@ class Replay:
 
 
 def replay(problem: Problem, trajectory: Trajectory) -> Replay:
-    """Fly a reference through the simulator with the rotor lag as short as its step allows, 0.06 ms."""
+    """Fly a reference through the simulator with next to no rotor lag."""
     plan = between_nodes(problem, trajectory, 2 * TICKS)  # its odd states are the middles of the ticks
     wrench = trajectory.thrust @ Airframe(problem.quad).mixer().T
-    state = np.concatenate([trajectory.state[0], trajectory.thrust[0]])[:, None].copy()
+    # What the rotors did before decides how late their first move is: hover, or the end of the lap before.
+    before = trajectory.thrust[-1] if problem.lap else np.full(4, Airframe(problem.quad).hover_thrust)
+    state = np.concatenate([trajectory.state[0], before])[:, None].copy()
     plant = np.append(problem.drag, 1.0)[:, None].copy()
     places = [state[:3, 0].copy()]
+    lag = STEPS_PER_LAG * float(trajectory.step.max()) / TICKS / SUBSTEPS
+    packed = Airframe(replace(problem.quad, rotor_time_constant=lag, rate_gains=(GAIN,) * 3)).pack(np.float64)
     for k, step in enumerate(trajectory.steps):
         dt = step / TICKS
-        quad = replace(problem.quad, rotor_time_constant=dt / SUBSTEPS / STEP_PER_LAG)
-        packed = Airframe(quad).pack(np.float64)
         for tick in range(TICKS):
             command = _command(problem, plan[k, 2 * tick + 1, 10:13], wrench[k])
             advance(state, command[:, None].copy(), plant, packed, dt, SUBSTEPS)
@@ -58,10 +61,10 @@ def replay(problem: Problem, trajectory: Trajectory) -> Replay:
 
 
 def _command(problem: Problem, rate: Array, wrench: Array) -> Array:
-    """The collective, m/s^2, and body rates, rad/s, at which the rate controller asks for a wrench, N and N m."""
-    inertia, gains = np.array(problem.quad.inertia), np.array(problem.quad.rate_gains)
+    """The collective, m/s^2, and body rates, rad/s, at which a controller of `GAIN` asks for a wrench, N and N m."""
+    inertia = np.array(problem.quad.inertia)
     torque = wrench[1:] - np.cross(rate, inertia * rate)
-    return np.concatenate([[wrench[0] / problem.quad.mass], rate + torque / (inertia * gains)])
+    return np.concatenate([[wrench[0] / problem.quad.mass], rate + torque / (inertia * GAIN)])
 
 
 def _passings(problem: Problem, position: Array, ticks: Array) -> Array:

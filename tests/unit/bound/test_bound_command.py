@@ -1,0 +1,59 @@
+"""``srlrace bound`` from the command line: what it prints, keeps and writes, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from srlrace.bound import command
+from srlrace.bound.problem import problem_of
+from srlrace.bound.store import load
+from srlrace.cli import app
+from srlrace.config import ConfigError
+from srlrace.recording import read_flight, read_metadata
+
+
+@pytest.fixture
+def track(short, tmp_path):
+    config = short()
+    return config, f"env={tmp_path / 'short.yaml'}"
+
+
+def test_solve_print_keep_and_record(track, tmp_path, monkeypatch):
+    config, env = track
+    out = tmp_path / "flight.mcap"
+    words = ["bound", env, "level=none", "--restarts", "1", "--out", str(out)]
+    first = CliRunner().invoke(app, words)
+    assert first.exit_code == 0, first.output
+    reference = load(problem_of(config))
+    assert f"{reference.time:.3f} s" in first.output
+    flight = read_flight(out, 0)
+    assert flight.outcome == "finished"
+    assert flight.finish_time == pytest.approx(reference.time)
+    assert flight.time[-1] == pytest.approx(reference.time)
+    assert np.asarray(flight.waypoints) == pytest.approx(np.array(config.env.waypoints))
+    for waypoint in config.env.waypoints:
+        assert np.linalg.norm(flight.position_w - waypoint, axis=1).min() <= 0.3
+    assert float(read_metadata(out)["t_ref_s"]) == pytest.approx(reference.time, abs=1e-5)
+
+    monkeypatch.setattr(command, "solve", None)  # a second time nothing is solved
+    again = CliRunner().invoke(app, words)
+    assert again.exit_code == 0
+    assert f"{reference.time:.3f} s" in again.output
+
+
+def test_without_the_solver_one_line_names_the_extra(track, monkeypatch):
+    config, _ = track
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install 'srlrace\[bound\]'"):
+        command.bound(config, False, False, 1, True, None)
+
+
+def test_a_lap_has_no_end_to_stop_at():
+    from srlrace.hydra_bridge import compose
+
+    with pytest.raises(ConfigError, match="--race"):
+        command.bound(compose(["env=split_s"]), False, True, 1, False, None)
