@@ -194,7 +194,12 @@ def _restore(environment: dict[str, str | None]) -> None:
 def _terminable() -> Iterator[None]:
     """Let a signal between jobs, or to the parent of a launcher's processes, leave through every clean-up."""
 
+    stopped: list[int] = []
+
     def leave(signum: int, frame: FrameType | None) -> None:
+        if stopped:
+            os._exit(128 + signum)
+        stopped.append(signum)
         say("stopped; the same command continues")
         raise SystemExit(128 + signum)
 
