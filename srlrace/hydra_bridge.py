@@ -193,7 +193,6 @@ def _restore(environment: dict[str, str | None]) -> None:
 @contextmanager
 def _terminable() -> Iterator[None]:
     """Let a signal between jobs, or to the parent of a launcher's processes, leave through every clean-up."""
-
     stopped: list[int] = []
 
     def leave(signum: int, frame: FrameType | None) -> None:
