@@ -13,6 +13,7 @@ from srlrace.bound.trajectory import NODES, Array, Reference, between_nodes
 from srlrace.config import Config, to_dict
 from srlrace.provenance import versions
 from srlrace.recording import Flight, RecordingWriter, SceneObstacle
+from srlrace.task.reward import TERMS
 from srlrace.world.obstacles import Obstacle
 
 PARTS = 4  # states recorded in an interval: one every 6 to 8 ms
@@ -25,7 +26,7 @@ def write_recording(path: Path, config: Config, problem: Problem, reference: Ref
     with RecordingWriter(
         path,
         metadata={**metadata, "kind": "lap" if problem.lap else "race", **versions()},
-        reward_terms=(),
+        reward_terms=TERMS,
         horizon=max(config.env.horizon, reference.time),
         config_json=text,
         passing_radius=problem.passing_radius,
@@ -59,7 +60,7 @@ def flight(config: Config, problem: Problem, reference: Reference) -> Flight:
         body_rate_b=states[:, 10:13],
         rotor_thrust=thrust,
         action=np.hstack([collective, states[:, 10:13]]),
-        reward_terms=np.zeros((len(time), 0)),
+        reward_terms=np.zeros((len(time), len(TERMS))),
         clearance=_clearance(problem, states[:, :3]),
         target=np.array(passing_order(config.env, problem.lap))[segment],
         waypoints=np.array(config.env.waypoints),
