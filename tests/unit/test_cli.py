@@ -256,7 +256,7 @@ def test_baseline_brings_its_reward_and_observation_unless_chosen():
 
 def test_ablations_differ_from_srl_in_one_weight():
     srl = to_dict(compose([]).reward)
-    for name, weight in (("no_safety", "safety"), ("no_terminal", "time"), ("srl_tuned", "body_rate")):
+    for name, weight in (("no_safety", "safety"), ("no_terminal", "time")):
         other = to_dict(compose([f"reward={name}"]).reward)
         assert {key for key in srl if srl[key] != other[key]} == {"name", weight}
 
