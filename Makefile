@@ -5,8 +5,11 @@
 # make bench   throughput on this machine
 # make cluster          sweeps on a Slurm of this machine and on a Ray of two nodes, with failures (Debian, as root)
 # make cluster-scaling  what a sweep costs besides the runs: 1 and 2 workers, 10 000 run folders
+# make thrust-figure     the optimum against thrust-to-weight: table, and docs/images/thrust_to_weight.png
+# make certificates      fly a certificate of every map of the presets: srlrace/task/certificates.json
 # make reference         publish the finished runs: runs/* to runs/reference/*, without checkpoints and recordings
-# make pictures RUN=...   the README's picture, from a run that was evaluated with a recording
+# make pictures           all pictures of the documentation, from the published runs (Chromium); its two halves:
+# make report-pictures    commands in the terminal, the report's page and figures, in docs/images
 # make replay-pictures    the replay's pictures in docs/images, from the published runs (Chromium)
 # make vendor             bundle three.js anew for the replay page (npm)
 # Both build the same virtual environment first. PYTHON and VENV may be set on the command line.
@@ -18,7 +21,7 @@ STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum |
 NODE_MODULES := tests/readers/node_modules
 AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench pictures reference readers browser-tools replay-pictures vendor cluster cluster-scaling soak clean
+.PHONY: demo test lint bench thrust-figure certificates pictures reference readers browser-tools replay-pictures report-pictures vendor cluster cluster-scaling soak clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -36,10 +39,13 @@ lint: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/srlrace bench
 
-pictures: $(STAMP)
-	$(BIN)/srlrace report --out results
-	mkdir -p docs/images
-	cp results/figures/$(RUN)-train_map.png docs/images/forest.png
+pictures: replay-pictures report-pictures
+
+REPORT_RUNS ?= runs/reference
+report-pictures: $(STAMP) browser-tools
+	$(BIN)/srlrace report --runs $(REPORT_RUNS) --out results
+	-cp results/figures/minimum_time-forest-trajectories.png docs/images/forest.png
+	$(BIN)/python docs/images/report_pictures.py $(REPORT_RUNS) docs/images
 
 REPLAY_RUNS ?= runs/reference
 REPLAY_FOREST ?= forest-srl-s0

@@ -17,7 +17,8 @@ from srlrace.runs import RunFolder, State
 from srlrace.tables import STYLES, brief
 
 LOOK_EVERY = 2.0  # s between looks at the files
-BAR_WIDTH = 20  # characters
+BAR_WIDTH = 12  # characters
+WIDE = 100  # characters of a terminal that has room for bars
 STEP = 10  # percent of a training between two lines where there is no terminal
 
 List = Callable[[], Iterable[RunFolder]]
@@ -71,7 +72,7 @@ def watch(runs: List, console: Console = out, pause: Callable[[float], None] = t
 def _watch_live(runs: List, console: Console, pause: Callable[[float], None]) -> None:
     with Live(console=console, auto_refresh=False, screen=False) as live:
         while True:
-            live.update(picture([look(run) for run in runs()], console.height), refresh=True)
+            live.update(picture([look(run) for run in runs()], console.height, console.width), refresh=True)
             pause(LOOK_EVERY)
 
 
@@ -92,18 +93,18 @@ def line(seen: Seen) -> str:
     return clean("  ".join([*words, seen.result]).rstrip())
 
 
-def picture(seen: list[Seen], height: int = 1000) -> Group:
+def picture(seen: list[Seen], height: int = 1000, width: int = WIDE) -> Group:
     """Return the table: those in training first, then what is waiting, then the rest, as many as fit."""
     order = (State.TRAINING, State.FAILED, State.INTERRUPTED, State.NEW, State.FINISHED)
     ordered = sorted(seen, key=lambda one: (order.index(one.state), one.id))
     room = max(3, height - 5)
-    table = Table("run", "state", "trained", "", "left", "result", box=None, pad_edge=False)
-    for column in table.columns:
-        column.no_wrap = True
+    table = Table("run", "state", "", "trained", "left", "result", box=None, pad_edge=False)
+    for column, least in zip(table.columns, (0, 11, 0, 7, 4, 0), strict=True):
+        column.no_wrap, column.min_width = True, least
     for one in ordered[:room]:
         state = Text(str(one.state), STYLES.get(one.state, ""))
         left = "" if one.left_s is None else duration(one.left_s)
-        bar = ProgressBar(1.0, one.done, width=BAR_WIDTH)
+        bar = ProgressBar(1.0, one.done, width=BAR_WIDTH) if width >= WIDE else ""
         table.add_row(Text(clean(one.id)), state, bar, f"{100 * one.done:.0f} %", left, Text(clean(one.result)[:200]))
     hidden = [Text(f"... and {len(ordered) - room} more", style="dim")] if len(ordered) > room else []
     return Group(summary(seen), Text(), table, *hidden)

@@ -1,4 +1,4 @@
-"""Make the documentation's pictures of the command line and of the report's page; `make pictures` runs it.
+"""Make the documentation's pictures of the command line and of the report's page; `make report-pictures` runs it.
 
 The terminal is drawn by rich from what the commands print, the page is photographed by headless Chromium.
 """
@@ -15,11 +15,12 @@ from rich.console import Console
 from rich.terminal_theme import TerminalTheme
 
 from srlrace.learn.display import Display
-from srlrace.report.command import PAGE, report
+from srlrace.report.command import PAGE, read_report, report
+from srlrace.report.terminal import terminal_table
 from srlrace.runs import RunFolder, list_runs
 from srlrace.watch import look, picture
 
-COLUMNS = 96  # characters of a terminal's line
+COLUMNS = 104  # characters of a terminal's line
 INSTANT = 0.6  # of a training, at which its panel is shown
 SHOTS = {  # of the page: CSS pixels, colours, and which part
     "report": ((1280, 900), "light", "#summary"),
@@ -40,7 +41,7 @@ def main(runs: Path, images: Path) -> None:
     folders = list_runs(runs)
     console = terminal()
     console.print("$ srlrace report", style="bold", highlight=False)
-    report(runs, console=console)
+    console.print(terminal_table(read_report(runs)[1].tables[0]))
     save(console, images / "cli-report.svg", "srlrace report")
     console = terminal()
     console.print(picture([look(run) for run in folders]))
