@@ -1,5 +1,6 @@
 """Sweeps: what is missing is done once, in processes side by side; failures and signals are passed on."""
 
+import contextlib
 import json
 import os
 import signal
@@ -23,6 +24,8 @@ STUB = """
 import json, os, pathlib, signal, sys, time
 from srlrace.config import run_id, to_dict
 from srlrace.hydra_bridge import compose
+from srlrace.orphans import follow_parent
+follow_parent()
 words = sys.argv[1:]
 root = pathlib.Path(words[words.index("--runs") + 1])
 with (root.parent / "calls").open("a") as stream:
@@ -35,6 +38,10 @@ if words[0] == "train":
         signal.signal(signal.SIGINT, lambda *_: sys.exit(130))
         (root.parent / f"waiting{config.seed}").touch()
         time.sleep(60)
+    if os.environ.get("STUB") == "idle":
+        sys.exit("had no mind to" if "seed=1" in words else 0)
+    if os.environ.get("STUB") == "slow":
+        time.sleep(0.5)
     folder = root / run_id(config)
     folder.mkdir(parents=True)
     (folder / "config.json").write_text(json.dumps(to_dict(config)))
@@ -110,17 +117,63 @@ def test_a_failed_run_is_reported_and_the_others_go_on(place, monkeypatch, capfd
     assert len(list_runs(place / "runs")) == 2
 
 
-def test_ctrl_c_reaches_every_process_once(place):
+def sweeping(place, stub, *arguments) -> subprocess.Popen:
+    """A sweep of three runs in a process of its own, with the stub for a trainer."""
     code = (
-        "import sys; from srlrace import cli; from srlrace.sweep import crew; "
-        f"crew.PROGRAM = (sys.executable, {str(place / 'stub.py')!r})\n"
-        "sys.argv = ['srlrace', 'sweep', 'smoke', '--seeds', '3', '--jobs', '2']; cli.main()"
+        "import sys; from srlrace import cli; from srlrace.report import command; from srlrace.sweep import crew\n"
+        f"crew.PROGRAM, command.report = (sys.executable, {str(place / 'stub.py')!r}), lambda root: None\n"
+        f"sys.argv = ['srlrace', 'sweep', 'smoke', '--seeds', '3', *{arguments!r}]; cli.main()"
     )
-    environment = {**os.environ, "STUB": "wait"}
-    with subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True) as process:
-        give_up = time.monotonic() + 30
-        while len(list(place.glob("waiting*"))) < 2 and time.monotonic() < give_up:
-            time.sleep(0.05)
+    environment = {**os.environ, "STUB": stub}
+    return subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE, text=True)
+
+
+def until(condition, seconds=60.0):
+    give_up = time.monotonic() + seconds
+    while not condition() and time.monotonic() < give_up:
+        time.sleep(0.05)
+    assert condition()
+
+
+def test_sweeps_of_one_folder_share_the_work(place):
+    crowd = [sweeping(place, "slow", "--jobs", "1") for _ in range(3)]
+    said = [process.communicate(timeout=120)[1] for process in crowd]
+    assert [process.returncode for process in crowd] == [0, 0, 0], said
+    words = [line.split()[0] for line in calls(place)]
+    assert (words.count("train"), words.count("eval")) == (3, 3)
+    assert not list((place / "runs" / ".leases").iterdir())
+
+
+def test_a_killed_sweep_leaves_no_training_behind_and_is_repeated(place):
+    with sweeping(place, "wait") as process:
+        until(lambda: len(list(place.glob("waiting*"))) == 2)
+        process.kill()
+    until(lambda: not any(str(place / "stub.py").encode() in line for line in command_lines()))
+    with sweeping(place, "") as process:
+        assert process.wait(timeout=120) == 0
+    assert len(list_runs(place / "runs")) == 3
+
+
+def command_lines() -> list[bytes]:
+    lines = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            lines.append(path.read_bytes())
+    return lines
+
+
+def test_a_trainer_that_does_nothing_is_not_asked_for_ever(place, monkeypatch, capfd):
+    monkeypatch.setenv("STUB", "idle")
+    assert run(monkeypatch, "smoke", "--seeds", "2") == 1
+    errors = capfd.readouterr().err
+    assert "it said nothing" in errors
+    assert "had no mind to" in errors
+    assert len(calls(place)) == 2
+
+
+def test_ctrl_c_reaches_every_process_once(place):
+    with sweeping(place, "wait", "--jobs", "2") as process:
+        until(lambda: len(list(place.glob("waiting*"))) == 2)
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=30) == 130
         assert "the same command continues" in process.stderr.read()
