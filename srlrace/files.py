@@ -11,7 +11,7 @@ import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 JSON_LIMIT = 4 * 2**20  # bytes: a config with ten thousand obstacles is 1 MiB
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.tmp")  # what a kill in the midst of `atomic_write` leaves
@@ -71,19 +71,22 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read_limited(path: Path, limit: int = JSON_LIMIT) -> bytes:
-    """Read a plain file of at most ``limit`` bytes; links, pipes and devices are refused with `FileError`."""
+def open_plain(path: Path) -> IO[bytes]:
+    """Open a plain file for reading; links, and pipes and devices, which may block, are refused with `FileError`."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror}") from None
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise FileError(f"cannot read {path}: not a plain file")
-        with os.fdopen(descriptor, "rb", closefd=False) as stream:
-            data = stream.read(limit + 1)
-    finally:
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
+        raise FileError(f"cannot read {path}: not a plain file")
+    return os.fdopen(descriptor, "rb")
+
+
+def read_limited(path: Path, limit: int = JSON_LIMIT) -> bytes:
+    """Read a plain file of at most ``limit`` bytes; links, pipes and devices are refused with `FileError`."""
+    with open_plain(path) as stream:
+        data = stream.read(limit + 1)
     if len(data) > limit:
         raise FileError(f"cannot read {path}: larger than {limit} bytes")
     return data
