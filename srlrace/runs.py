@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from srlrace.config import Config, ConfigError, load_config, run_id
-from srlrace.files import FileError, atomic_write, read_json, read_limited, remove_leftovers
+from srlrace.files import FileError, atomic_write, open_plain, read_json, read_limited, remove_leftovers
 from srlrace.locks import RunError, hold, holder
 from srlrace.parse import NAME
 from srlrace.provenance import provenance, versions
@@ -117,12 +117,11 @@ class RunFolder:
     def progress(self) -> dict[str, float]:
         """The last complete row of ``progress.csv``, by column; empty when there is none."""
         try:
-            path = self.file("progress.csv")
-            with path.open("rb") as stream:
+            with open_plain(self.file("progress.csv")) as stream:
                 header = stream.readline(TAIL)
-                stream.seek(max(len(header), path.stat().st_size - TAIL))
+                stream.seek(max(len(header), os.fstat(stream.fileno()).st_size - TAIL))
                 tail = stream.read(TAIL)
-        except (RunError, OSError):
+        except (RunError, FileError, OSError):
             return {}
         lines = tail[: tail.rfind(b"\n") + 1].splitlines()
         if not lines:
