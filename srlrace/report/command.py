@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from srlrace.confdir import conf_dir
-from srlrace.files import atomic_write
+from srlrace.files import atomic_write, naming
 from srlrace.report.collect import Run, collect
 from srlrace.report.csv_tables import render_csv
 from srlrace.report.experiments import ExperimentError, load_experiments, load_paper
@@ -83,7 +83,8 @@ def _write(built: Report, runs: tuple[Run, ...], format: str, out: Path, console
     out.mkdir(parents=True, exist_ok=True)
     formats = tuple(FILES) if format == "rich" else (format,)
     written = [_write_table(table, suffix, out) for table in built.tables for suffix in formats]
-    written += write_figures(built, runs, out / "figures", fly=True)
+    with naming(out / "figures"):
+        written += write_figures(built, runs, out / "figures", fly=True)
     console.print(f"wrote {len(written)} files to {out}", markup=False, highlight=False)
 
 
