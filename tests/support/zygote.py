@@ -13,6 +13,7 @@ import importlib
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from typing import Any
 
 import guards
 
+PATIENCE = 600  # s after which a process that hangs is ended; no test waits for so long
 WARM = [
     "level=1", "algo.n_envs=8", "algo.n_steps=16", "algo.batch_size=64", "algo.n_epochs=1", "algo.policy_layers=[16]",
     "algo.value_layers=[16]", "algo.total_steps=128",
@@ -115,6 +117,7 @@ def born(cli: Any, question: dict[str, Any]) -> int:
         for place, value in question["set"].items():
             module, _, attribute = place.partition(":")
             setattr(importlib.import_module(module), attribute, value)
+        signal.alarm(PATIENCE)
         if question["guarded"]:
             guards.forbid_unpickling()
             guards.forbid_network()
