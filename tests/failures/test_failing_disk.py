@@ -83,7 +83,7 @@ def test_the_nth_operation_fails(command, complete, tmp_path, phase, chance, muc
         shutil.copytree(before / folder, reference / folder)
     [expected] = [results(folder) for folder in (reference / "runs").iterdir()]
     failing, reached, kinds = 1, True, set()  # a few of them in the default tests, other ones every time
-    stride = much(6, 1)
+    stride = much(10, 1)
     while reached:
         for code in ERRORS if SOAKED else ERRORS[failing % 3 : failing % 3 + 1]:
             place = tmp_path / f"{failing}-{code}"
@@ -128,7 +128,7 @@ def test_a_full_disk(zygote, complete, tmp_path, chance, much, say):
     """A small file system in memory where that can be mounted, else a limit to the size of files."""
     [expected] = [results(folder) for folder in (complete / "runs").iterdir()]
     failed = 0
-    for index in range(much(4, 10)):
+    for index in range(much(2, 10)):
         size = 16 * 1024 * (index + 1) if index else 4096
         place = tmp_path / f"disk{index}"
         place.mkdir()
@@ -167,7 +167,7 @@ def test_files_that_may_not_grow(zygote, complete, tmp_path, much, say):
     """A limit to the size of files, as quotas and shells set it: the write that crosses it fails."""
     [expected] = [results(folder) for folder in (complete / "runs").iterdir()]
     failed = 0
-    for index in range(much(4, 10)):
+    for index in range(much(3, 10)):
         place = tmp_path / str(index)
         place.mkdir()
         runs, out = ("--runs", place / "runs"), place / "out"
