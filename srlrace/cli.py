@@ -170,7 +170,7 @@ def list_all(
 ) -> None:
     """List the runs: id, state, progress, results."""
     from srlrace.runs import list_runs, runs_root
-    from srlrace.tables import filtered, runs_table
+    from srlrace.tables import LONG, filtered, runs_table, runs_text
 
     root = runs_root(runs)
     if follow:
@@ -178,7 +178,9 @@ def list_all(
 
         return watch(lambda: filtered(list_runs(root), filter or []))
     chosen = filtered(list_runs(root), filter or [])
-    if chosen:
+    if len(chosen) > LONG:
+        out.out(runs_text(chosen), highlight=False)
+    elif chosen:
         out.print(runs_table(chosen))
     else:
         say(f"no {'such ' if filter else ''}run in {root}")

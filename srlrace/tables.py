@@ -14,6 +14,7 @@ from srlrace.console import clean
 from srlrace.parse import nearest
 from srlrace.runs import RunFolder, State
 
+LONG = 1000  # rows of a list that nobody reads from top to bottom
 STYLES = {State.FINISHED: "green", State.TRAINING: "cyan", State.INTERRUPTED: "yellow", State.FAILED: "red"}
 SHORT = (
     "id",
@@ -35,21 +36,35 @@ def text(value: object, style: str = "") -> Text:
     return Text(clean(value)[:2000], style=style)
 
 
+def runs_text(runs: Sequence[RunFolder]) -> str:
+    """What `runs_table` shows, as plain lines: laying out ten thousand rows takes longer than reading the runs."""
+    rows = [[cell.plain.replace("\n", ", ") for cell in _row(run)] for run in runs]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)] + [0]
+    return "\n".join("  ".join(map(str.ljust, row, widths)) for row in rows)
+
+
 def runs_table(runs: Sequence[RunFolder]) -> Table:
     """One row a run: id, state, how far, and what evaluations said, or training while there is none."""
     table = Table("run", "state", "trained", "result", box=None, pad_edge=False)
     for column in table.columns[:3]:
         column.no_wrap = True  # an id is there to be copied
     for run in runs:
-        state, progress = run.state, run.progress
-        results = "\n".join(clean(brief(suite, summary))[:200] for suite, summary in run.evaluations.items())
-        result = Text(results) if results else _training(progress)
-        table.add_row(text(run.id), Text(state, STYLES.get(state, "")), _steps(run, progress), result)
+        table.add_row(*_row(run))
     return table
 
 
-def _steps(run: RunFolder, progress: dict[str, float]) -> Text:
-    steps, total = progress.get("steps"), run.config.algo.total_steps if run.config else None
+def _row(run: RunFolder) -> tuple[Text, Text, Text, Text]:
+    state = run.state
+    results = "\n".join(clean(brief(suite, summary))[:200] for suite, summary in run.evaluations.items())
+    total = run.config.algo.total_steps if run.config else None
+    done = state is State.FINISHED and results and total
+    progress = {"steps": float(total or 0)} if done else run.progress
+    result = Text(results) if results else _training(progress)
+    return text(run.id), Text(state, STYLES.get(state, "")), _steps(total, progress), result
+
+
+def _steps(total: int | None, progress: dict[str, float]) -> Text:
+    steps = progress.get("steps")
     if steps is None or not total:
         return Text("-" if total else "config.json is not valid")
     return Text(f"{steps / 1e6:.4g} M, {min(100, 100 * steps / total):.0f} %")

@@ -14,6 +14,7 @@ from srlrace.config import to_dict
 from srlrace.files import FileError, atomic_write, read_json, read_limited
 from srlrace.hydra_bridge import compose
 from srlrace.runs import RunError, RunFolder, State, find, latest_finished, list_runs, provenance, runs_root
+from srlrace.tables import runs_table, runs_text
 
 CONFIG = json.dumps(to_dict(compose([])))
 
@@ -218,3 +219,14 @@ def test_provenance_is_plain_json():
     assert provenance(["srlrace", "train", "seed=1", "--runs=/home/me"])["argv"] == ["srlrace", "train", "seed=1"]
     assert {"srlrace", "python", "torch", "numpy"} <= record["versions"].keys()
     assert record["cores"] >= 1
+
+
+def test_a_long_list_says_what_a_short_one_does(tmp_path):
+    runs = [make(tmp_path, "a"), make(tmp_path, "bb", "policy.safetensors")]
+    runs[1].file("progress.csv").write_text("steps,success_ratio,crash_ratio\n12500000,0.5,0.25\n")
+    table = runs_table(runs)
+    cells = [[cell.plain for cell in column._cells] for column in table.columns]
+    lines = runs_text(runs).splitlines()
+    assert [line.split("  ")[0].strip() for line in lines] == cells[0]
+    for line, row in zip(lines, zip(*cells, strict=True), strict=True):
+        assert [word.strip() for word in line.split("  ") if word.strip()] == list(row)
