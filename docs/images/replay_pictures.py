@@ -36,9 +36,9 @@ class Picture:
 
 PICTURES = (
     Picture("replay-forest", "forest", Wish(), "t=3.42&play=0", (1440, 900)),
-    Picture("replay-split_s", "split_s", Wish(overlay=6), "t=3.3&play=0", (1440, 900), "light"),
+    Picture("replay-split_s", "split_s", Wish(overlay=6), "t=5.9&play=0", (1440, 900), "light"),
     Picture("replay-phone", "forest", Wish(), "t=1.2&play=0", (390, 844), "dark", 2.0),
-    Picture("replay-4k", "split_s", Wish(), "t=2.6&play=0", (3840, 2160)),
+    Picture("replay-4k", "split_s", Wish(), "t=5.2&play=0", (3840, 2160)),
 )
 
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from srlrace.config import Config, ConfigError, method_name, parse_config
 from srlrace.console import say
-from srlrace.files import read_limited
+from srlrace.files import FileError
 from srlrace.recording import (
     CorruptRecording,
     Flight,
@@ -25,8 +26,15 @@ from srlrace.recording import (
 from srlrace.runs import RunError, RunFolder, State, find
 
 UNTOLD = 20  # episodes that are flown of a run that was never evaluated
-TABLE_LIMIT = 64 * 2**20  # bytes of an episodes.csv: half a million rows
-COLUMNS = ("episode", "map", "outcome", "time_s")
+COLUMNS = {
+    "episode": np.int64,
+    "map": np.int64,
+    "outcome": str,
+    "time_s": np.float64,
+    "lap_time_s": np.float64,
+    "gates_passed": np.int64,
+}
+"""Columns of a table of episodes that a replay uses; recovered recordings lack the last two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +113,28 @@ def recorded_config(path: Path) -> Config:
 def _table(run: RunFolder, suite: str) -> pd.DataFrame | None:
     """The stored table of an evaluation, or None when there is none."""
     path = run.file("eval", suite, "episodes.csv")
-    return check_table(pd.read_csv(BytesIO(read_limited(path, TABLE_LIMIT))), str(path)) if path.is_file() else None
+    if not path.is_file():
+        return None
+    try:
+        table = pd.read_csv(BytesIO(run.episodes(suite)))
+    except (ValueError, OverflowError) as error:
+        if isinstance(error, (RunError, FileError)):
+            raise
+        raise RunError(f"{path}: no table of episodes ({str(error).splitlines()[0]})") from None
+    return check_table(table, str(path))
 
 
 def check_table(table: pd.DataFrame, name: str) -> pd.DataFrame:
-    """The table, if it has what a replay needs; raises `RunError` otherwise."""
-    for column in COLUMNS:
-        if column not in table or table.empty:
-            raise RunError(f"{name}: no table of episodes, column {column} is missing or empty")
-    if not all(pd.api.types.is_integer_dtype(table[column]) for column in ("episode", "map")):
-        raise RunError(f"{name}: its episodes or maps are no whole numbers")
-    return table
+    """What a replay needs of a table of episodes, as numbers and text; raises `RunError` where that is not in it."""
+    if table.empty or not {"episode", "map", "outcome", "time_s"} <= set(table):
+        raise RunError(f"{name}: no table of episodes with columns episode, map, outcome, time_s")
+    try:
+        known = {column: table[column].astype(kind) for column, kind in COLUMNS.items() if column in table}
+    except (ValueError, TypeError, OverflowError):
+        raise RunError(f"{name}: its table of episodes has text where numbers are expected") from None
+    if known["episode"].duplicated().any() or (known["episode"] < 0).any():
+        raise RunError(f"{name}: its table of episodes numbers them wrongly")
+    return pd.DataFrame(known)
 
 
 def flown_table(run: RunFolder, suite: str, count: int) -> pd.DataFrame:

@@ -53,7 +53,7 @@ export function createCamera(course, flights) {
     const reach = Math.hypot(box.size.x, box.size.y, box.size.z) / 2;
     target.set(box.centre.x + hands.panX, box.centre.y + hands.panY, 0);
     const yaw = (camera.aspect < 1 && box.size.x > box.size.y ? Math.PI : -Math.PI / 2 - 0.45) + hands.yaw;
-    orbit(yaw, clamp(0.62 + hands.pitch), ((0.68 * reach) / half) * hands.zoom);
+    orbit(yaw, clamp(0.62 + hands.pitch), ((0.82 * reach) / half) * hands.zoom);
   }
 
   function lens(field, near) {

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from srlrace.replay.select import MAX_FLIGHTS, Wish, select
+from srlrace.replay.source import check_table
 from srlrace.runs import RunError
 
 TABLE = pd.DataFrame(
@@ -68,3 +69,14 @@ def test_wishes_exclude_each_other() -> None:
         Wish(episodes=(1,), worst=True)
     with pytest.raises(RunError, match="at most"):
         Wish(overlay=MAX_FLIGHTS + 1)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "message"),
+    [("time_s", ["soon"], "text where numbers"), ("episode", [-1], "wrongly"), ("map", [None], "text where numbers")],
+)
+def test_tables_of_strangers_are_checked(column: str, values: list[object], message: str) -> None:
+    with pytest.raises(RunError, match=message):
+        check_table(TABLE[:1].assign(**{column: values}), "theirs")
+    with pytest.raises(RunError, match="no table of episodes"):
+        check_table(TABLE.drop(columns=column), "theirs")
