@@ -60,10 +60,10 @@ class RunFolder:
         """What the files and the lock say at this moment."""
         if not (self.path / "config.json").is_file():
             return State.NEW
+        if (self.path / "policy.safetensors").is_file():
+            return State.FINISHED  # also while somebody who waited for it holds the lock
         if self.holder() is not None:
             return State.TRAINING
-        if (self.path / "policy.safetensors").is_file():
-            return State.FINISHED
         return State.FAILED if (self.path / "error.txt").is_file() else State.INTERRUPTED
 
     @cached_property
