@@ -53,7 +53,8 @@ class RunFolder:
     @cached_property
     def id(self) -> str:
         """The run's id: the folder's name."""
-        return self.path.resolve().name
+        plain = self.path.name not in ("", "..") and not self.path.is_symlink()
+        return self.path.name if plain else self.path.resolve().name
 
     @property
     def state(self) -> State:
