@@ -103,7 +103,7 @@ def fly_course(run: Run, flights: int = FLOWN_AGAIN) -> Course:
     race, history = fly(load_policy(run.config, folder.file("policy.safetensors")), suite, flights, flights)
     assert history is not None
     flown = list(history.flights(suite, race, episode_rows(suite, race)))
-    same = _agreeing(run, flown)
+    same = agreeing(run, flown)
     if same < len(flown):
         raise RunError(f"flown again, only {same} of {len(flown)} flights end as in episodes.csv; none is drawn")
     return _course(flown, run.config, f"{same} flights flown again from the policy, all ending as in its episodes.csv")
@@ -118,7 +118,7 @@ def _course(flights: Sequence[Flight], config: Config, origin: str) -> Course:
     return Course(trajectories, placed, flights[0].scene, config, origin)
 
 
-def _agreeing(run: Run, flights: Sequence[Flight]) -> int:
+def agreeing(run: Run, flights: Sequence[Flight]) -> int:
     """Return how many of the flights end as ``episodes.csv`` says."""
     evaluation, same = run.evaluations["train_map"], 0
     for flight, outcome, time in zip(flights, evaluation.outcome, evaluation.total_time_s, strict=False):

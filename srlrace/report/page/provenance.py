@@ -38,7 +38,7 @@ def _cell(table: Table, index: int, cell: Cell, runs: dict[str, Run]) -> Html:
     parts = [tag("h4", title), source]
     if cell.numbers:
         rows = (_seed(cell, *seed) for seed in seeds_of(cell, runs))
-        names = ("Seed", "Run", "Time (s)", "Crash (%)", "Finished", "Evaluated from")
+        names = ("Seed", "Run", "Time (s)", "Crash (%)", "Finished")
         head = tag("thead", tag("tr", *(tag("th", name, scope="col") for name in names)))
         parts.append(
             scrolling(tag("table", tag("caption", f"Seed by seed: {title}"), head, tag("tbody", *rows)), title)
@@ -56,8 +56,7 @@ def _seed(cell: Cell, seed: int, run: Run, time: float | None, crash: float) -> 
     evaluation = run.evaluations[cell.suite]
     link = tag("a", run.id, href=f"#run-{run.id}")
     finished = f"{int(evaluation.finished.sum())}/{len(evaluation.episode)}"
-    file = tag("code", f"eval/{cell.suite}/episodes.csv")
-    values = (link, number(time), f"{crash:.2f}", finished, file)
+    values = (link, number(time), f"{crash:.2f}", finished)
     return tag("tr", tag("th", seed, scope="row"), *(tag("td", value) for value in values))
 
 

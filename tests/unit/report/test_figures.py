@@ -15,7 +15,7 @@ from srlrace.config import run_id
 from srlrace.files import atomic_write
 from srlrace.recording import Flight, RecordingWriter, SceneObstacle
 from srlrace.report.command import read_report
-from srlrace.report.courses import Trajectory, read_course
+from srlrace.report.courses import Trajectory, agreeing, read_course
 from srlrace.report.drawing import keep_out
 from srlrace.report.figures import write_figures
 from srlrace.report.learning_figure import learning_plot
@@ -92,6 +92,12 @@ def test_the_top_view_draws_obstacles_as_they_collide(forest: Config, tmp_path: 
     assert margin == pytest.approx(forest.quad.arm_length + forest.level.safety_margin)
     (mark,) = [line for line in above.lines if line.get_label() == "did not finish"]
     np.testing.assert_allclose(mark.get_xydata(), [np.array(forest.env.waypoints[-1][:2]) + 0.05])
+
+
+def test_flights_flown_again_count_if_they_end_as_evaluated(lab: SimpleNamespace, forest: Config) -> None:
+    flown = [flight(forest, 0, 0), flight(forest, 1, 0), flight(forest, 2, 0, outcome="crashed"), flight(forest, 3, 0)]
+    run = lab.run(forest, lab.evaluation([5.0, 5.03, None, None]))  # seconds; a control period is 0.02
+    assert agreeing(run, flown) == 2
 
 
 def test_the_view_in_space_keeps_lengths_across_the_line_of_sight() -> None:
