@@ -110,11 +110,16 @@ def _machine_memory() -> int:
 
 def train(arguments: Sequence[str]) -> int:
     """Run ``srlrace train ARGUMENTS``: check everything, then let Hydra run it. Returns the exit status."""
+    stopped: list[int] = []
     try:
-        with _terminable():
+        with _terminable(stopped):
             return _train(arguments)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 1
+    except Exception:
+        if not stopped:
+            raise
+        return 128 + stopped[0]  # a parser had a callback interrupted, and took that for bad input
 
 
 def _train(arguments: Sequence[str]) -> int:
@@ -191,9 +196,11 @@ def _restore(environment: dict[str, str | None]) -> None:
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Let a signal between jobs, or to the parent of a launcher's processes, leave through every clean-up."""
-    stopped: list[int] = []
+def _terminable(stopped: list[int]) -> Iterator[None]:
+    """Let a signal between jobs, or to the parent of a launcher's processes, leave through every clean-up.
+
+    The signal's number is added to ``stopped``; a second one leaves at once.
+    """
 
     def leave(signum: int, frame: FrameType | None) -> None:
         if stopped:
