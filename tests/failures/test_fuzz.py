@@ -56,14 +56,14 @@ def in_one_line() -> Iterator[None]:
 
 
 @given(st.lists(st.tuples(NAMES, WORDS), max_size=3))
-@examples(150, 5000)
+@examples(100, 5000)
 def test_overrides_are_checked_or_refused(pairs):
     with in_one_line():
         check_arguments([f"{name}={word}" for name, word in pairs])
 
 
 @given(st.lists(st.tuples(NAMES, WORDS), max_size=3))
-@examples(15, 1000)
+@examples(10, 1000)
 def test_overrides_compose_or_are_refused(pairs):
     with in_one_line():
         composed = compose([f"{name}={word}" for name, word in pairs])
@@ -80,7 +80,7 @@ TRACK = {
 
 
 @given(st.dictionaries(st.sampled_from([*TRACK, "x"]), PLAIN, max_size=3), st.binary(max_size=30), st.booleans())
-@examples(150, 5000)
+@examples(100, 5000)
 def test_track_files_are_read_or_refused(tmp_path, changes, junk, binary):
     path = tmp_path / "track.yaml"
     path.write_bytes(junk if binary else yaml.safe_dump(TRACK | changes).encode())
@@ -89,7 +89,7 @@ def test_track_files_are_read_or_refused(tmp_path, changes, junk, binary):
 
 
 @given(PLAIN, PLAIN, st.binary(max_size=60), st.dictionaries(st.sampled_from(list(to_dict(compose([])))), PLAIN))
-@examples(80, 2000)
+@examples(12, 2000)
 def test_run_folders_are_shown_or_passed_over(tmp_path, info, summary, junk, changes):
     folder = tmp_path / "runs" / "a-b-s0-00000000"
     (folder / "eval" / "train_map").mkdir(parents=True, exist_ok=True)
