@@ -16,6 +16,7 @@ from srlrace.report.command import FORMATS, read_report, report
 from srlrace.report.csv_tables import COLUMNS
 from srlrace.report.experiments import ExperimentError
 
+COUNTED = b"episode,map,outcome,time_s,gates_passed,min_clearance_m\n"
 TABLES = ("minimum_time", "generalization", "ablation_safety", "ablation_terminal")
 
 
@@ -72,7 +73,8 @@ def test_csv_files_have_the_documented_columns_and_one_row_per_cell(runs: Path, 
     assert float(row["crash_pct"]) == pytest.approx(5.0)
     assert (row["finished"], row["crashed"], row["episodes"], row["seeds"]) == ("95", "5", "100", "5")
     assert float(row["penalised_time_s"]) == pytest.approx(0.95 * 5.2 + 0.05 * 20)
-    assert (row["paper_time_s"], row["paper_crash_pct"], row["t_ref_s"], row["gap_pct"]) == ("7.31", "0", "", "")
+    assert (row["paper_time_s"], row["paper_crash_pct"]) == ("7.31", "0")
+    assert float(row["gap_pct"]) == pytest.approx(100 * (5.2 / float(row["t_ref_s"]) - 1), rel=1e-4)
     assert len(row["runs"].split()) == 5
 
 
@@ -95,9 +97,11 @@ def test_the_papers_tables_are_complete_and_in_order(tmp_path: Path) -> None:
     [
         (b"", "episodes.csv|No columns|eval/train_map"),
         (b"\xff\xfe\x00garbage", "eval/train_map"),
-        (b"episode,map,outcome,time_s\n0,1,finished,\n", "without time_s"),
-        (b"episode,map,outcome,time_s\n0,1,landed,5.0\n", "unknown outcome"),
-        (b"episode,map,outcome,time_s\n0,99999999999999999999999,finished,5.0\n", "eval/train_map"),
+        (COUNTED + b"0,1,finished,,9,0.4\n", "without time_s"),
+        (COUNTED + b"0,1,landed,5.0,9,0.4\n", "unknown outcome"),
+        (COUNTED + b"0,1,finished,5.0,-1,0.4\n", "gates_passed"),
+        (b"episode,map,outcome,time_s\n0,1,finished,5.0\n", "eval/train_map"),
+        (COUNTED + b"0,99999999999999999999999,finished,5.0,9,0.4\n", "eval/train_map"),
     ],
 )
 def test_a_damaged_evaluation_is_reported_and_the_rest_is_shown(
@@ -124,5 +128,5 @@ def test_a_link_out_of_the_run_is_not_followed(lab: SimpleNamespace, tmp_path: P
 
 
 def test_an_unknown_format_is_refused_with_those_that_exist(tmp_path: Path) -> None:
-    with pytest.raises(ExperimentError, match="rich, md, csv, tex, not 'xls'"):
+    with pytest.raises(ExperimentError, match="rich, md, csv, tex, html, not 'xls'"):
         report(tmp_path, "xls")
