@@ -31,6 +31,12 @@ demo: $(STAMP)
 test: $(STAMP) readers browser-tools
 	$(BIN)/python -m pytest
 
+thrust-figure: $(STAMP)
+	$(BIN)/python -m srlrace.bound.thrust docs/images/thrust_to_weight.png
+
+certificates: $(STAMP)
+	$(BIN)/python -m srlrace.evaluation.certify
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
