@@ -14,7 +14,7 @@ from srlrace.console import clean, out, say
 from srlrace.parse import nearest, show
 from srlrace.sweep.crew import Crew
 from srlrace.sweep.lease import Leases, describe
-from srlrace.sweep.pace import Pace, roughly, read_pace, together
+from srlrace.sweep.pace import Pace, read_pace, roughly, together
 from srlrace.sweep.plan import Job, Plan, experiments, plan_jobs
 from srlrace.sweep.resources import Resources
 from srlrace.sweep.slurm import queued, submit
