@@ -150,6 +150,18 @@ def test_a_lap_reference_starts_with_the_lap(config: Any) -> None:
     assert len(np.flatnonzero(np.diff(lap.target))) == 7
 
 
+@pytest.mark.parametrize("env", ["forest", "split_s"])
+def test_the_stored_reference_flies_through_the_gates(config: Any, env: str) -> None:
+    settings = config(f"env={env}")
+    first = course_flight(settings, 0, 7.0)
+    ghost = Ghost().flight(settings, first)
+    start = first.time[np.argmax(first.target != first.target[0])] if settings.env.laps else 0.0
+    assert ghost.time[0] == pytest.approx(start)
+    for gate in ghost.waypoints:
+        nearest = np.linalg.norm(ghost.position_w - gate, axis=1).min()
+        assert nearest < settings.env.passing_radius + 1e-3
+
+
 def test_a_reference_of_another_track_is_refused(forest: Config, config: Any, tmp_path: Path) -> None:
     split = config("env=split_s")
     file = record_course(tmp_path / "ref.mcap", split, [course_flight(split, 0, 6.0)])
