@@ -16,7 +16,7 @@ from srlrace.bound.trajectory import Array, Reference, Trajectory, lift
 from srlrace.bound.transcription import MARGIN, Nodes, solve
 
 ROUNDS = 15  # of adding the constraints that a solution violates
-SCOUTS = 3  # point masses sent for each rigid body, where obstacles leave several ways
+SCOUTS = 3  # point masses sent: for each rigid body where obstacles leave several ways, at least so many where not
 SOLVED = "Solve_Succeeded"
 logger = logging.getLogger(__name__)
 
@@ -58,7 +58,8 @@ def _scouts(
 ) -> list[tuple[Nodes, set[Point]]]:
     """Solved point masses, fastest first, each with the points that it keeps clear of obstacles."""
     mass, found = point_mass(problem), []
-    for guess in _guesses(problem, restarts * (SCOUTS if problem.obstacles else 1), paths):
+    count = SCOUTS * restarts if problem.obstacles else max(SCOUTS, restarts)
+    for guess in _guesses(problem, count, paths):
         try:
             clear = violated(problem, guess.state, guess.steps, MARGIN)[0]
             found.append((settle(problem, mass, guess, clear), clear))

@@ -10,7 +10,7 @@ from srlrace.config import Config
 from srlrace.sim.airframe import GRAVITY, Airframe
 from srlrace.world.flyable import Array
 
-PACES = (1.0, 0.7, 0.5)  # shares of the limits below that are tried in turn
+PACES = (1.0, 0.7, 0.5, 1.4)  # shares of the limits below that are tried in turn
 SPEED = 10.0  # m/s
 SIDEWAYS = 20.0  # m/s^2, centripetal
 FORWARD = 10.0  # m/s^2, along the path
