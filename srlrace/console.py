@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -14,13 +13,10 @@ from typing import TYPE_CHECKING, TextIO
 from rich.console import Console
 from rich.text import Text
 
+from srlrace.text import clean
+
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
-
-
-def clean(text: object) -> str:
-    """Text without control and direction characters: a stored name cannot move the cursor or hide letters."""
-    return "".join(c if unicodedata.category(c)[0] != "C" else "\ufffd" for c in str(text))
 
 
 def say(message: str) -> None:
@@ -31,12 +27,6 @@ def say(message: str) -> None:
 def fail(message: str) -> None:
     """Tell the user what went wrong, in one line on stderr."""
     err.print(Text.assemble(("error: ", "bold red"), clean(" ".join(message.split()))), soft_wrap=True)
-
-
-def duration(seconds: float) -> str:
-    """Return a time in hours, minutes and seconds, as clocks show it."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
 
 class _Handler(logging.Handler):

@@ -187,7 +187,7 @@ class CurriculumConfig:
     name: str = setting("name of the curriculum preset")
     gate_starts: float = setting("share of resets near a random waypoint instead of the start", low=0.0, high=1.0)
     memory_starts: float = setting("share of resets from a remembered passing of a waypoint", low=0.0, high=1.0)
-    retry_starts: float = setting("share of resets from a start from which an earlier episode failed", low=0.0, high=1.0)
+    retry_starts: float = setting("share of resets from the start of an earlier episode that failed", low=0.0, high=1.0)
     memory_size: int = setting("remembered passings per waypoint, and failed starts", low=1, high=100_000)
     staged_hold: float = setting("share of training during which gate and memory starts keep theirs", low=0.0, high=1.0)
     staged_end: float = setting("share of training after which there are none, reached linearly", low=0.0, high=1.0)

@@ -10,9 +10,9 @@ from rich.text import Text
 
 from srlrace.catalogue import SETTINGS
 from srlrace.config import Config, ConfigError, method_name, to_dict
-from srlrace.console import clean
 from srlrace.parse import nearest
 from srlrace.runs import RunFolder, State
+from srlrace.text import clean
 
 LONG = 1000  # rows of a list that nobody reads from top to bottom
 STYLES = {State.FINISHED: "green", State.TRAINING: "cyan", State.INTERRUPTED: "yellow", State.FAILED: "red"}

@@ -12,9 +12,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from srlrace.console import clean, duration, out
+from srlrace.console import out
 from srlrace.runs import RunFolder, State
 from srlrace.tables import STYLES, brief
+from srlrace.text import clean, duration
 
 LOOK_EVERY = 2.0  # s between looks at the files
 BAR_WIDTH = 12  # characters

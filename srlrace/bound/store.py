@@ -8,6 +8,8 @@ from __future__ import annotations
 import io
 import math
 import os
+import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,7 +36,7 @@ def load(problem: Problem) -> Reference | None:
         try:
             reference = _read(path)
             accept(problem, reference.trajectory, reference.point_mass_time)
-        except (FileError, Rejected, ValueError, KeyError, OSError, EOFError):
+        except (FileError, Rejected, ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
             continue
         return reference
     return None

@@ -16,9 +16,10 @@ from rich.table import Table
 from rich.text import Text
 
 from srlrace.config import Config, CurriculumConfig
-from srlrace.console import duration, err, logged
+from srlrace.console import err, logged
 from srlrace.learn.progress import figures_text
 from srlrace.task.race import ramp
+from srlrace.text import duration
 
 LOG = "train.log"
 LINE_EVERY = 10.0  # s between plain lines

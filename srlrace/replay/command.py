@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from srlrace.console import clean, say
+from srlrace.console import say
 from srlrace.files import atomic_write
 from srlrace.recording import Flight
 from srlrace.replay.pack import pack_course, pack_flight, pack_obstacles
@@ -19,6 +19,7 @@ from srlrace.replay.rerun_export import write_rrd
 from srlrace.replay.select import MAX_FLIGHTS, Selection, Wish, select, timed
 from srlrace.replay.source import Source, open_source
 from srlrace.runs import RunError
+from srlrace.text import clean
 
 NAME_LIMIT = 120  # characters of a name that are shown
 

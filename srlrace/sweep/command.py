@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 from srlrace.config import ConfigError
-from srlrace.console import clean, out, say
+from srlrace.console import out, say
 from srlrace.parse import nearest, show
 from srlrace.sweep.crew import Crew
 from srlrace.sweep.lease import Leases, describe
@@ -18,6 +18,7 @@ from srlrace.sweep.pace import Pace, read_pace, roughly, together
 from srlrace.sweep.plan import Job, Plan, experiments, plan_jobs
 from srlrace.sweep.resources import Resources
 from srlrace.sweep.slurm import queued, submit
+from srlrace.text import clean
 
 LAUNCHERS = ("local", "slurm", "ray")
 LOCAL_JOBS = 2  # runs side by side on one machine, unless --jobs says otherwise

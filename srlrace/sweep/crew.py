@@ -20,12 +20,13 @@ from typing import IO
 
 from rich.progress import BarColumn, Progress, TextColumn
 
-from srlrace.console import clean, err, fail, say
+from srlrace.console import err, fail, say
 from srlrace.orphans import followed
 from srlrace.signals import handling
 from srlrace.sweep.lease import LOST, PATIENCE, Lease, Leases, describe
 from srlrace.sweep.pace import Pace, roughly, together
 from srlrace.sweep.plan import Job, Plan
+from srlrace.text import clean
 
 PROGRAM = (sys.executable, "-m", "srlrace")
 POLL = 0.2  # s between looks at the processes

@@ -10,13 +10,14 @@ from types import FrameType
 from typing import Any
 
 from srlrace.config import ConfigError
-from srlrace.console import clean, fail, say
+from srlrace.console import fail, say
 from srlrace.signals import handling
 from srlrace.sweep.crew import Forecast
 from srlrace.sweep.pace import Pace
 from srlrace.sweep.plan import Job, Plan
 from srlrace.sweep.resources import Resources
 from srlrace.sweep.unit import Unit
+from srlrace.text import clean
 
 ATTEMPTS = 20  # how often a task may lose its worker or its node
 GB = 10**9  # bytes

@@ -64,7 +64,7 @@ class Rules(NamedTuple):
     thrust_spread: float
     gate_starts: float  # share of resets near a random waypoint
     memory_starts: float  # share of resets from a remembered passing
-    retry_starts: float  # share of resets from a start from which an earlier episode failed
+    retry_starts: float  # share of resets from the start of an earlier episode that failed
     autoreset: bool
 
 

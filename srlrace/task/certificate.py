@@ -105,20 +105,23 @@ def certified_field(config: Config, map_indices: Sequence[int]) -> ObstacleField
     """Draw maps of the configuration's level, each anew until one is certified flyable, and pack them.
 
     The first draw of nearly every map is flyable, so that it stays what its seed alone says. Raises ValueError where
-    hardly any draw is.
+    hardly any draw is. A layout without random trees is its owner's choice, and taken as it is.
     """
-    track, level = config.env, config.level
-    maps = [generate_map(track, level, i) for i in map_indices]
+    track, sight = config.env, config.observation
+    maps = [generate_map(track, config.level, i) for i in map_indices]
+    if config.level.spacings:
+        _replace_refused(config, maps, map_indices)
+    return ObstacleField.of_maps(maps, track.bounds_low, track.bounds_high, sight.obstacles, sight.range)
+
+
+def _replace_refused(config: Config, maps: list[Map], map_indices: Sequence[int]) -> None:
     for attempt in range(1, DRAWS + 1):
         refused = [k for k, time in enumerate(certify(config, maps)) if time is None]
-        if not refused or not level.spacings:
-            break
+        if not refused:
+            return
         for k in refused:
-            maps[k] = generate_map(track, level, map_indices[k], attempt)
-    if refused:
-        raise ValueError(_hopeless(config, f"map seed {level.map_seed + map_indices[refused[0]]}"))
-    sight = config.observation
-    return ObstacleField.of_maps(maps, track.bounds_low, track.bounds_high, sight.obstacles, sight.range)
+            maps[k] = generate_map(config.env, config.level, map_indices[k], attempt)
+    raise ValueError(_hopeless(config, f"map seed {config.level.map_seed + map_indices[refused[0]]}"))
 
 
 def unseen_maps(config: Config, count: int) -> tuple[int, ...]:

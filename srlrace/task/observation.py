@@ -30,7 +30,7 @@ from srlrace.config import ObservationConfig
 from srlrace.sim.compile import inline
 from srlrace.world.field import cast_rays, nearest_centre
 
-# Ours, found by training. An input's scale decides how fast its weights matter: what is the same skill at every waypoint
+# Ours, found by training. An input's scale decides how fast its weights matter: what is one skill at every waypoint
 # (where the next ones are, how fast we fly) is large, what differs from place to place is small.
 POSITION_SCALE = 40.0  # m
 TARGET_SCALE = 5.0  # m; waypoints are 5-15 m apart

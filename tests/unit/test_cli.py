@@ -13,11 +13,11 @@ import pytest
 from srlrace import cli, completion, console, hydra_bridge, training
 from srlrace.catalogue import GROUPS, choices
 from srlrace.config import run_id, to_dict
-from srlrace.console import clean
 from srlrace.hydra_bridge import compose
 from srlrace.learn.interrupt import Interrupted
 from srlrace.overrides import check_arguments
 from srlrace.runs import RunError, RunFolder
+from srlrace.text import clean
 
 HEAVY = ("torch", "numpy", "pandas", "numba", "scipy", "matplotlib", "gymnasium", "stable_baselines3", "joblib")
 

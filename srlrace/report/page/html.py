@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-from srlrace.console import clean
+from srlrace.text import clean
 
 VOID = ("meta", "br", "hr")
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from srlrace.console import duration
 from srlrace.learn.display import BLOCKS, Display, phase_text, trend
+from srlrace.text import duration
 
 
 def row(steps, wall_s, **values):

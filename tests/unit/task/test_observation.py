@@ -82,7 +82,9 @@ def test_targets(moved):
     for ahead in (0, 1):
         which = np.minimum(target + ahead, 8)
         expected = race.fleet.waypoints[which, :, np.arange(N)] - position
-        np.testing.assert_allclose(block(seen, "targets")[:, 3 * ahead : 3 * ahead + 3] * TARGET_SCALE, expected, atol=1e-5)
+        np.testing.assert_allclose(
+            block(seen, "targets")[:, 3 * ahead : 3 * ahead + 3] * TARGET_SCALE, expected, atol=1e-5
+        )
     last = block(seen, "targets")[target >= 8]
     assert len(last) >= 2
     np.testing.assert_array_equal(last[:, :3], last[:, 3:])
