@@ -198,11 +198,13 @@ def test_list_and_show(place, monkeypatch, capsys):
     (suite / "summary.json").write_text(json.dumps(summary))
     assert run(monkeypatch, "runs") == 0
     text = capsys.readouterr().out
-    for words in (found.id, "finished", "10 M, 50 %", "train_map 987/1000 in 7.12 s", "interrupted"):
+    for words in (found.id, "finished", "20 M, 100 %", "train_map 987/1000 in 7.12 s", "interrupted"):
         assert words in text
     (suite / "summary.json").unlink()
     assert run(monkeypatch, "runs") == 0
-    assert "training: 50 %, crash 25 %" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "10 M, 50 %" in text
+    assert "training: 50 %, crash 25 %" in text
     assert run(monkeypatch, "runs", "--filter", "reward=no_safety", "--filter", "algo.gamma=0.99") == 0
     assert capsys.readouterr().out.count("forest-") == 1
     assert run(monkeypatch, "runs", "--filter", "state=failed") == 0
