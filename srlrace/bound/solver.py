@@ -53,6 +53,21 @@ def find_reference(problem: Problem, restarts: int = 3, paths: Sequence[Sequence
     return Reference(best, np.array([trajectory.duration for trajectory in found]), scouts[0][0].duration)
 
 
+def continue_from(problem: Problem, near: Trajectory) -> Reference:
+    """Solve from the solution of a problem that differs a little; raises `BoundError` where that does not lead on."""
+    first, last = near.state[[0, -1], 6:10]
+    sign = -1 if first @ last < 0 else 1
+    guess = Nodes(near.state, np.minimum(near.thrust, problem.quad.thrust_max), near.step)
+    try:
+        nodes = settle(problem, rigid_body(problem), guess, set(), sign)
+        floor = min(scout.duration for scout, _ in _scouts(problem, 1, (), []))
+        trajectory = Trajectory(nodes.state, nodes.control, nodes.step)
+        accept(problem, trajectory, floor)
+    except Rejected as failure:
+        raise BoundError(_explain([str(failure)])) from None
+    return Reference(trajectory, np.array([trajectory.duration]), floor)
+
+
 def _scouts(
     problem: Problem, restarts: int, paths: Sequence[Sequence[Array]], failures: list[str]
 ) -> list[tuple[Nodes, set[Point]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ from srlrace.bound.accept import Rejected, accept
 from srlrace.bound.problem import problem_of
 from srlrace.bound.store import SHIPPED, load, save
 from srlrace.bound.trajectory import NODES
+from srlrace.config import to_dict
 from srlrace.hydra_bridge import compose
 from srlrace.world.obstacles import sphere
 
@@ -137,18 +139,40 @@ def test_every_shipped_file_is_a_whole_reference():
             assert data["times"].min() == pytest.approx(NODES * data["step"].sum(), abs=1e-6)
 
 
-def test_a_report_has_its_references_without_the_solver():
-    """Casadi is made impossible to import; every cell on a training map of one kind has its T_ref."""
+def test_a_report_shows_gaps_without_the_solver(tmp_path):
+    """Casadi is made impossible to import; runs of the paper's tables get their gap, and the open Forest its time."""
+    write_run(tmp_path / "forest", compose(["env=forest"]), 6.0)
+    write_run(tmp_path / "split_s", compose(["env=split_s", "baseline=song"]), 7.0)
     program = """
 import sys
 sys.modules["casadi"] = None
+from pathlib import Path
+from srlrace.report.command import read_report
+for table in read_report(Path(sys.argv[1]))[1].tables:
+    for cell in table.cells:
+        if cell.numbers:
+            print(cell.environment, cell.numbers.time_s.value, cell.t_ref_s, cell.gap_pct, sep="|")
 from srlrace.hydra_bridge import compose
 from srlrace.report.reference import cell_reference
-for words in ("env=forest", "env=split_s", "env=forest level=none"):
-    print(cell_reference(compose(words.split()), "train_map"))
-assert "torch" not in sys.modules and "numba" not in sys.modules
+print(cell_reference(compose(["env=forest", "level=none"]), "train_map"))
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    forest, split_s, free = map(float, done.stdout.split())
-    assert 4.5 < free < forest < 4.8
-    assert 5.0 < split_s < 5.2
+    done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
+    *cells, free = done.stdout.splitlines()
+    assert {cell.split("|")[0] for cell in cells} == {"Forest", "Split-S with obstacles"}
+    for cell in cells:
+        time, reference, gap = map(float, cell.split("|")[1:])
+        assert gap == pytest.approx(100 * (time / reference - 1))
+        assert 4.5 < reference < 5.2
+    assert 4.5 < float(free) < 4.6
+
+
+def write_run(folder, config, seconds):
+    """A finished run whose only flight took so long."""
+    target = folder / "eval" / "train_map"
+    target.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps(to_dict(config)))
+    (folder / "run.json").write_text(json.dumps({"format": 1, "state": "finished"}))
+    (folder / "policy.safetensors").write_bytes(b"")
+    header = "episode,seed,map,outcome,time_s,lap_time_s,gates_passed,min_clearance_m"
+    (target / "episodes.csv").write_text(f"{header}\n0,7,0,finished,{seconds + 1},{seconds},9,0.5\n")
+    (target / "summary.json").write_text(json.dumps({"format": 1, "suite": "train_map", "evaluation_seed": 7}))
