@@ -14,8 +14,8 @@ from srlrace.bound.model import REGULARISER, Model
 from srlrace.bound.problem import Problem
 from srlrace.bound.trajectory import NODES, Array
 
-# The solver aims this much inside each waypoint's ball and outside each obstacle, m: room for what happens between the
-# nodes, and for the drift of a replay that has no feedback. It costs about 0.05 % of the time.
+# The solver aims this much inside each waypoint's ball and the world, and outside each obstacle, m: room for what
+# happens between the nodes, and for the drift of a replay that has no feedback. It costs about 0.05 % of the time.
 MARGIN = 0.005
 STEP_LIMITS = 1e-3, 5.0  # s, length of an interval
 IPOPT: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": 500, "tol": 1e-5, "mu_init": 1e-3}
@@ -128,7 +128,7 @@ def _limits(problem: Problem, model: Model, n: int) -> tuple[Nodes, Nodes]:
     """Lower and upper limits of all variables: the world, the rates, the thrusts, the start, the stop."""
     segments = len(problem.waypoints)
     low, high = np.tile(-model.state_limit, (n + 1, 1)), np.tile(model.state_limit, (n + 1, 1))
-    low[:, :3], high[:, :3] = problem.bounds_low, problem.bounds_high
+    low[:, :3], high[:, :3] = np.array(problem.bounds_low) + MARGIN, np.array(problem.bounds_high) - MARGIN
     if problem.start is not None:
         low[0] = high[0] = np.concatenate([problem.start, model.rest[3:]])
     if problem.stop:

@@ -12,7 +12,7 @@ from srlrace.report.groups import Group, common_group, groups
 from srlrace.report.model import Cell, Comparison, OtherRun, Report, Table
 from srlrace.report.notes import cell_notes, table_notes
 from srlrace.report.numbers import cell_numbers, paired_difference
-from srlrace.report.reference import cell_reference
+from srlrace.report.reference import cell_reference, reference_notes
 from srlrace.runs import State
 from srlrace.schema import Config
 
@@ -83,8 +83,12 @@ def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Plac
         numbers=cell_numbers(group.evaluations) if group else None,
         t_ref_s=cell_reference(place.config, place.suite),
         runs=tuple(group.runs[seed].id for seed in sorted(group.runs)) if group else (),
-        notes=cell_notes(experiment, place.candidates, group) if group else (),
+        notes=_notes(experiment, place, group) if group else (),
     )
+
+
+def _notes(experiment: Experiment, place: Place, group: Group) -> tuple[str, ...]:
+    return (*cell_notes(experiment, place.candidates, group), *reference_notes(place.config, place.suite))
 
 
 def _environment(place: Place) -> str:

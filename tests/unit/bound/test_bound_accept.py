@@ -153,17 +153,20 @@ for table in read_report(Path(sys.argv[1]))[1].tables:
         if cell.numbers:
             print(cell.environment, cell.numbers.time_s.value, cell.t_ref_s, cell.gap_pct, sep="|")
 from srlrace.hydra_bridge import compose
-from srlrace.report.reference import cell_reference
-print(cell_reference(compose(["env=forest", "level=none"]), "train_map"))
+from srlrace.report.reference import cell_reference, reference_notes
+for words, suite in (("level=none", "train_map"), ("level=mixed", "level3")):
+    config = compose(["env=forest", words])
+    print(cell_reference(config, suite), *reference_notes(config, suite))
 """
     done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
-    *cells, free = done.stdout.splitlines()
+    *cells, free, unseen = done.stdout.splitlines()
     assert {cell.split("|")[0] for cell in cells} == {"Forest", "Split-S with obstacles"}
     for cell in cells:
         time, reference, gap = map(float, cell.split("|")[1:])
         assert gap == pytest.approx(100 * (time / reference - 1))
         assert 4.5 < reference < 5.2
     assert 4.5 < float(free) < 4.6
+    assert unseen == f"{free} T_ref and the gap to it are of the track without obstacles"
 
 
 def write_run(folder, config, seconds):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from srlrace.bound.clearance import SHARES, core_distance, points, smallest_gap
-from srlrace.bound.model import point_mass, rigid_body
+from srlrace.bound.model import STEPS, point_mass, rigid_body
 from srlrace.bound.problem import problem_of
 from srlrace.bound.trajectory import NODES, Trajectory, between_nodes, lift, rotations
 from srlrace.hydra_bridge import compose
@@ -24,7 +24,7 @@ def test_symbols_and_numpy_move_alike(drag_model):
     flight = random_flight(problem)
     step = rigid_body(problem).step
     moved = np.array([step(x, u, 0.02).full().ravel() for x, u in zip(flight.state, flight.thrust, strict=False)])
-    assert between_nodes(problem, flight, 1)[:, -1] == pytest.approx(moved, abs=1e-11)
+    assert between_nodes(problem, flight, STEPS)[:, -1] == pytest.approx(moved, abs=1e-11)
 
 
 def test_a_quaternion_of_any_length_gives_no_more_thrust():

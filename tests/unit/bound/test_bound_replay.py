@@ -12,7 +12,7 @@ from srlrace.hydra_bridge import compose
 
 
 @pytest.mark.parametrize(
-    "words", [["env=forest", "level=none"], ["env=forest", "level=2"], ["env=split_s", "level=none"]]
+    "words", [["env=forest", "level=none"], ["env=forest", "level=2"], ["env=split_s", "level=none"], ["env=split_s"]]
 )
 def test_the_simulator_flies_the_reference(words):
     config = compose(words)
