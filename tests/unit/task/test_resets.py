@@ -69,7 +69,7 @@ def test_no_randomization(config, flown):
 
 
 def test_starts_are_clear_of_obstacles(config, flown, spheres):
-    race = flown(config("level=3", "level.clear_radius=0"), 300)
+    race = flown(config("level=3", "level.clear_radius=0.6"), 300)
     truth = spheres(race, 0)
     gaps = np.array([truth.gap(p) for p in race.fleet.state[:3].T.astype(float)])
     assert gaps.min() > 0.25 - 1e-5
