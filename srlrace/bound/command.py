@@ -49,7 +49,7 @@ def solve(config: Config, problem: Problem, restarts: int) -> Reference:
         free = find_reference(free_problem, 1)
         save(free_problem, free)
     logger.info("without obstacles: %.3f s", free.time)
-    return find_reference(problem, restarts, _paths(config, problem, free.trajectory.state[:, :3]))
+    return find_reference(problem, restarts, _paths(config, problem, free.trajectory.state[:, :3]), free.trajectory)
 
 
 def _paths(config: Config, problem: Problem, guide: Array) -> list[list[Array]]:

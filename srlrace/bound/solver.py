@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,11 +14,13 @@ from srlrace.bound.clearance import Point, violated
 from srlrace.bound.guess import follow, straight_legs
 from srlrace.bound.model import Model, point_mass, rigid_body
 from srlrace.bound.problem import Problem
-from srlrace.bound.trajectory import Array, Reference, Trajectory, lift
+from srlrace.bound.trajectory import Array, Reference, Trajectory, lift, rotations
 from srlrace.bound.transcription import MARGIN, Nodes, solve
 
 ROUNDS = 15  # of adding the constraints that a solution violates
 SCOUTS = 3  # point masses sent: for each rigid body where obstacles leave several ways, at least so many where not
+SIZES = (0.3, 0.5, 0.7, 0.85, 0.95, 1.0)  # shares of their size at which obstacles stop growing for a solution
+NEARBY = 0.05  # m: obstacles closer to a neighbour's solution than this are kept clear from the beginning
 SOLVED = "Solve_Succeeded"
 logger = logging.getLogger(__name__)
 
@@ -25,41 +29,80 @@ class BoundError(ValueError):
     """No start led to an acceptable solution; the message says what failed."""
 
 
-def find_reference(problem: Problem, restarts: int = 3, paths: Sequence[Sequence[Array]] = ()) -> Reference:
+def find_reference(
+    problem: Problem, restarts: int = 3, paths: Sequence[Sequence[Array]] = (), free: Trajectory | None = None
+) -> Reference:
     """Solve from several starts and keep the best accepted solution; raises `BoundError` where there is none.
 
-    ``paths`` are further first guesses, one polyline (k, 3) m for each segment.
+    ``paths`` are further first guesses, one polyline (k, 3) m for each segment; ``free`` is the flight without the
+    obstacles, which are then grown into it.
     """
     body, failures, found = rigid_body(problem), list[str](), list[Trajectory]()
     scouts = _scouts(problem, restarts, paths, failures)
-    for restart, (scout, clear) in enumerate(scouts):
+    floor = scouts[0][0].duration if scouts else 0.0
+    for attempt in _attempts(problem, body, scouts, free):
         if len(found) == restarts:
             break
-        guess = lift(problem.quad.mass, scout.state, scout.control, scout.step)
-        sign = -1 if problem.lap and restart % 2 else 1
         try:
-            nodes = settle(problem, body, Nodes(guess.state, guess.thrust, guess.step), clear, sign)
+            nodes = attempt()
             trajectory = Trajectory(nodes.state, nodes.control, nodes.step)
-            accept(problem, trajectory, scouts[0][0].duration)
+            if trajectory.duration < floor:  # on a way that no scout took?
+                floor = min(floor, _scout_along(problem, trajectory).duration)
+            accept(problem, trajectory, floor)
         except Rejected as failure:
             failures.append(str(failure))
-            logger.debug("restart %d rejected: %s", restart, failure)
+            logger.debug("rejected: %s", failure)
         else:
-            logger.debug("restart %d: %.4f s", restart, trajectory.duration)
+            logger.debug("accepted: %.4f s", trajectory.duration)
             found.append(trajectory)
     if not found:
         raise BoundError(_explain(failures))
     best = min(found, key=lambda trajectory: trajectory.duration)
-    return Reference(best, np.array([trajectory.duration for trajectory in found]), scouts[0][0].duration)
+    return Reference(best, np.array([trajectory.duration for trajectory in found]), floor)
+
+
+def _attempts(
+    problem: Problem, body: Model, scouts: Sequence[tuple[Nodes, set[Point]]], free: Trajectory | None
+) -> Iterator[Callable[[], Nodes]]:
+    """Ways to a solution, one after the other."""
+    if free is not None and scouts:
+        yield partial(_grow, problem, body, free)
+    for restart, (scout, clear) in enumerate(scouts):
+        guess = lift(problem.quad.mass, scout.state, scout.control, scout.step)
+        sign = -1 if problem.lap and restart % 2 else 1
+        yield partial(settle, problem, body, Nodes(guess.state, guess.thrust, guess.step), clear, sign)
+
+
+def _grow(problem: Problem, body: Model, free: Trajectory) -> Nodes:
+    """Let the obstacles grow from lines and points to their size, the flight giving way to them."""
+    nodes = Nodes(free.state, free.thrust, free.step)
+    for share in SIZES:
+        solids = tuple(replace(solid, sphere_radius=share * solid.sphere_radius) for solid in problem.obstacles)
+        smaller = replace(problem, obstacles=solids, keep_out=share * problem.keep_out)
+        clear = violated(smaller, nodes.state, nodes.steps, MARGIN)[0]
+        nodes = settle(smaller, body, nodes, clear, _sign(nodes.state), warm=True)
+    return nodes
+
+
+def _scout_along(problem: Problem, flight: Trajectory) -> Nodes:
+    """The fastest point mass near a rigid body's flight."""
+    upward = rotations(flight.state[:-1, 6:10])[:, :, 2]
+    force = upward * flight.thrust.sum(axis=1, keepdims=True) / problem.quad.mass
+    clear = violated(problem, flight.state, flight.steps, NEARBY)[0]
+    return settle(problem, point_mass(problem), Nodes(flight.state[:, :6], force, flight.step), clear)
+
+
+def _sign(state: Array) -> int:
+    """Whether a flight's last quaternion means its attitude as the first one does (1) or is its negative (-1)."""
+    return -1 if state[0, 6:10] @ state[-1, 6:10] < 0 else 1
 
 
 def continue_from(problem: Problem, near: Trajectory) -> Reference:
     """Solve from the solution of a problem that differs a little; raises `BoundError` where that does not lead on."""
-    first, last = near.state[[0, -1], 6:10]
-    sign = -1 if first @ last < 0 else 1
     guess = Nodes(near.state, np.minimum(near.thrust, problem.quad.thrust_max), near.step)
     try:
-        nodes = settle(problem, rigid_body(problem), guess, set(), sign)
+        clear = violated(problem, guess.state, guess.steps, NEARBY)[0]
+        nodes = settle(problem, rigid_body(problem), guess, clear, _sign(near.state), warm=True)
         floor = min(scout.duration for scout, _ in _scouts(problem, 1, (), []))
         trajectory = Trajectory(nodes.state, nodes.control, nodes.step)
         accept(problem, trajectory, floor)
@@ -88,11 +131,11 @@ def _guesses(problem: Problem, count: int, paths: Sequence[Sequence[Array]]) -> 
     yield from (follow(problem, straight_legs(problem, restart), restart) for restart in range(count))
 
 
-def settle(problem: Problem, model: Model, guess: Nodes, clear: set[Point], sign: int = 1) -> Nodes:
+def settle(problem: Problem, model: Model, guess: Nodes, clear: set[Point], sign: int = 1, warm: bool = False) -> Nodes:
     """Solve, add the constraints that the solution violates to ``clear``, and repeat until it violates none."""
     nodes = guess
     for _ in range(ROUNDS):
-        nodes, status = solve(problem, model, nodes, clear, sign)
+        nodes, status = solve(problem, model, nodes, clear, sign, warm)
         if status != SOLVED:
             raise Rejected(f"IPOPT did not converge ({status})")
         more, worst = violated(problem, nodes.state, nodes.steps, 0.6 * MARGIN)

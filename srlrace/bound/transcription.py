@@ -19,6 +19,10 @@ from srlrace.bound.trajectory import NODES, Array
 MARGIN = 0.005
 STEP_LIMITS = 1e-3, 5.0  # s, length of an interval
 IPOPT: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": 500, "tol": 1e-5, "mu_init": 1e-3}
+# From a solution nearby: stay there, although most of its limits are active. A larger barrier would push the flight off
+# all of them first.
+PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+WARM: dict[str, Any] = {"mu_init": 1e-6, "bound_mult_init_method": "mu-based", **dict.fromkeys(PUSHES, 1e-7)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +63,13 @@ class Constraints:
         self.high += [high] * rows.numel()
 
 
-def solve(problem: Problem, model: Model, guess: Nodes, clear: Collection[Point], sign: int = 1) -> tuple[Nodes, str]:
+def solve(
+    problem: Problem, model: Model, guess: Nodes, clear: Collection[Point], sign: int = 1, warm: bool = False
+) -> tuple[Nodes, str]:
     """Solve from a guess; return where IPOPT ended and what it says (``Solve_Succeeded``).
 
     ``clear`` are the points kept away from obstacles. A lap's quaternion ends as ``sign`` times what it began as:
-    both mean the same attitude, reached by different turns.
+    both mean the same attitude, reached by different turns. ``warm`` says that the guess solves a similar problem.
     """
     segments = len(problem.waypoints)
     n = segments * NODES
@@ -80,7 +86,7 @@ def solve(problem: Problem, model: Model, guess: Nodes, clear: Collection[Point]
     scale = model.control_norm or float(model.control_high[0])
     cost = NODES * ca.sum1(h) + REGULARISER * (ca.sumsqr(u / scale) * 100 + ca.sumsqr(x[6:, :])) / n
     program = {"x": ca.veccat(x, u, h), "f": cost, "g": ca.vertcat(*rules.rows)}
-    options: Any = {"print_time": False, "ipopt": IPOPT}
+    options: Any = {"print_time": False, "ipopt": IPOPT | (WARM if warm else {})}
     solver = ca.nlpsol("bound", "ipopt", program, options)
     low, high = (side.flat() for side in _limits(problem, model, n))
     result = solver(x0=guess.flat(), lbx=low, ubx=high, lbg=rules.low, ubg=rules.high)

@@ -46,6 +46,7 @@ def test_known_times_are_what_ships(overrides, seconds):
     assert load(problem_of(compose(list(overrides)))).time == pytest.approx(seconds, rel=0.01)
 
 
+@costly
 def test_the_published_race_of_nineteen_waypoints(tmp_path):
     import yaml
 
@@ -65,7 +66,7 @@ def seconds(config, **how):
     ("slower", "faster"),
     [
         (("quad.thrust_max=5.0",), ("quad.thrust_max=12.0",)),
-        (("env.passing_radius=0.1",), ("env.passing_radius=0.6",)),
+        pytest.param(("env.passing_radius=0.1",), ("env.passing_radius=0.6",), marks=costly),
         pytest.param(("quad.body_rate_max=[2,2,2]",), ("quad.body_rate_max=[15,15,4]",), marks=costly),
         pytest.param(
             ("quad.drag=[1,1,1]", "quad.drag_model=force"),
