@@ -52,7 +52,7 @@ def take(browser: Browser, picture: Picture, page: Path) -> None:
     context.set_default_timeout(PATIENCE)
     shown = context.new_page()
     shown.goto(f"{page.absolute().as_uri()}#{picture.state}")
-    shown.wait_for_function("document.documentElement.dataset.interactive !== undefined")
+    shown.wait_for_selector("html[data-interactive]")
     shown.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     shown.screenshot(path=IMAGES / f"{picture.name}.png", timeout=PATIENCE)
     context.close()

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pages import PATIENCE
 
 AXE = Path(__file__).parent / "node_modules" / "axe-core" / "axe.min.js"
 SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -104,7 +105,7 @@ def visit(browsers: Callable[..., Any]) -> Iterator[Callable[..., Visit]]:
             reduced_motion="reduce" if reduced_motion else "no-preference",
             has_touch=touch,
         )
-        context.set_default_timeout(120_000)  # ms; a page that hangs fails its test, a slow machine does not
+        context.set_default_timeout(PATIENCE)
         visited = Visit(context.new_page())
         visited.watch()
         opened.append(visited)

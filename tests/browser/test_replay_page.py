@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from courses import course_flight, record_course
+from pages import wait_until
 
 from srlrace.recording import Flight, read_flight
 from srlrace.replay.command import replay
@@ -46,7 +47,7 @@ def paused(visit: Callable[..., Any], page: Path) -> Any:
 
 def at(visit: Callable[..., Any], page: Path, state: str, **options: Any) -> Any:
     opened = visit(page, fragment=state, **({"size": (900, 600)} | options))
-    opened.page.wait_for_function(READY)
+    wait_until(opened.page, READY)
     return opened
 
 
@@ -124,7 +125,7 @@ def test_keys(paused: Any) -> None:
     settle(paused)
     assert (text(paused, "pilot-name"), text(paused, "outcome")) == ("Episode 2", "Crashed")
     press("Space")
-    paused.wait_for_function("Number(document.documentElement.dataset.time) > 0.02")
+    wait_until(paused, "Number(document.documentElement.dataset.time) > 0.02")
     press("Space")
     assert paused.get_attribute("#play", "aria-label") == "Play"
     press("?")
@@ -140,7 +141,7 @@ def test_clicks_and_scrubbing(paused: Any) -> None:
     paused.click("#restart")
     assert time(paused) == 0
     paused.click("#play")
-    paused.wait_for_function("Number(document.documentElement.dataset.time) > 0.02")
+    wait_until(paused, "Number(document.documentElement.dataset.time) > 0.02")
     paused.click("#play")
     stopped = time(paused)
     assert time(paused) == stopped
@@ -226,7 +227,7 @@ def test_reduced_motion_waits_for_the_viewer(visit: Callable[..., Any], page: Pa
     assert still.get_attribute("#play", "aria-label") == "Play"
     assert time(still) == 0
     moving = at(visit, page, "", webgl=False).page
-    moving.wait_for_function("Number(document.documentElement.dataset.time) > 0")
+    wait_until(moving, "Number(document.documentElement.dataset.time) > 0")
 
 
 def test_hostile_names_are_inert(visit: Callable[..., Any], config: Any, tmp_path: Path) -> None:
