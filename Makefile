@@ -58,8 +58,8 @@ report-pictures: $(STAMP) browser-tools
 	$(BIN)/python docs/images/report_pictures.py $(REPORT_RUNS) docs/images
 
 REPLAY_RUNS ?= runs/reference
-REPLAY_FOREST ?= forest-srl-s0
-REPLAY_SPLIT_S ?= split_s-song-s0
+REPLAY_FOREST ?= forest-srl_tuned-s0
+REPLAY_SPLIT_S ?= split_s-srl_tuned-s0
 replay-pictures: $(STAMP) browser-tools
 	$(BIN)/python docs/images/replay_pictures.py $(REPLAY_RUNS) $(REPLAY_FOREST) $(REPLAY_SPLIT_S) results
 
