@@ -99,6 +99,9 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Without numba's reference counting (``_nrt``): counting the dozens of arrays that a step passes around, with
     atomic instructions, would take longer than the step itself. Such functions cannot allocate arrays.
+
+    Better call `inline` functions from a kernel than other kernels: of those, a process that compiles and one that
+    loads from the cache may run different copies, which may round differently.
     """
     return _compile(function, _nrt=False)
 

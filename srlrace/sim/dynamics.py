@@ -38,8 +38,8 @@ def store4(array: Any, row: int, start: int, count: int, value: Any) -> None:
     store(array, row + 3, start, count, value[3])
 
 
-@kernel
-def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, substeps: int) -> None:
+@inline
+def advance_all(state: Any, command: Any, plant: Any, airframe: Any, dt: float, substeps: int) -> None:
     """Advance all drones by `dt` seconds in `substeps` RK4 steps, in place; the rate controller runs at each.
 
     state (17, n): position [m, world], velocity [m/s, world], attitude w, x, y, z (body to world),
@@ -66,3 +66,9 @@ def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, subs
         store4(state, 6, start, count, q)
         store3(state, 10, start, count, w)
         store4(state, 13, start, count, f)
+
+
+@kernel
+def advance(state: Any, command: Any, plant: Any, airframe: Any, dt: float, substeps: int) -> None:
+    """Do what `advance_all` does, called from Python."""
+    advance_all(state, command, plant, airframe, dt, substeps)

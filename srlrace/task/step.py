@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from srlrace.sim.compile import inline, kernel
-from srlrace.sim.dynamics import advance
+from srlrace.sim.dynamics import advance_all
 from srlrace.task.arrays import (
     CRASHED,
     DIVERGED,
@@ -241,7 +241,7 @@ def step_all(action, fleet, rules, field, memory, scratch, out, weights):
     for i in range(n):
         command_from_action(action, rules, scratch, i)
         copy_column(fleet.state, scratch.previous, i)
-    advance(fleet.state, scratch.command, fleet.plant, rules.airframe, rules.dt, rules.substeps)
+    advance_all(fleet.state, scratch.command, fleet.plant, rules.airframe, rules.dt, rules.substeps)
     for i in range(n):
         if not fleet.parked[i]:
             step_drone(fleet, rules, field, memory, scratch, out, weights, i)

@@ -37,11 +37,11 @@ def chance(record_property: Callable[[str, object], None]) -> random.Random:
 
 
 @pytest.fixture(scope="session")
-def undisturbed(zygote: zygotes.Zygote, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str, bytes]]:
+def undisturbed(zygote: zygotes.Zygote, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str, str]]:
     """The results of a run of each kind that nothing disturbed."""
-    known: dict[str, dict[str, bytes]] = {}
+    known: dict[str, dict[str, str]] = {}
 
-    def get(kind: str) -> dict[str, bytes]:
+    def get(kind: str) -> dict[str, str]:
         if kind not in known:
             place = tmp_path_factory.mktemp(kind)
             runs = ["--runs", str(place / "runs")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from hashlib import sha256
 from pathlib import Path
 
 from rich.console import Console
@@ -52,12 +53,13 @@ def leftovers(root: Path) -> list[str]:
     return [path.name for path in root.rglob(".*") if LEFTOVER.fullmatch(path.name)]
 
 
-def results(folder: Path) -> dict[str, bytes]:
-    """What must be the same to the byte however a run was disturbed: settings, weights, evaluation."""
+def results(folder: Path) -> dict[str, str]:
+    """Hashes of what must be the same to the byte however a run was disturbed: settings, weights, evaluation."""
     found = {name: (folder / name).read_bytes() for name in FINAL}
     for path in sorted(folder.glob("eval/*/*")):
         if path.name in EVALUATED:
             found[f"{path.parent.name}/{path.name}"] = path.read_bytes()
     rows = (folder / "progress.csv").read_text().splitlines()
     untimed = [[row.split(",")[0], *row.split(",")[3:]] for row in rows]  # without wall-clock and speed
-    return found | {"progress.csv": repr(untimed).encode()}
+    found["progress.csv"] = repr(untimed).encode()
+    return {name: sha256(content).hexdigest() for name, content in found.items()}
