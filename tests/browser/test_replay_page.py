@@ -57,6 +57,7 @@ def settle(page: Any) -> None:
 
 
 def text(page: Any, name: str) -> str:
+    settle(page)
     return str(page.inner_text(f"#{name}")).replace("\u2212", "-")
 
 
@@ -127,6 +128,7 @@ def test_keys(paused: Any) -> None:
     press("Space")
     wait_until(paused, "Number(document.documentElement.dataset.time) > 0.02")
     press("Space")
+    settle(paused)
     assert paused.get_attribute("#play", "aria-label") == "Play"
     press("?")
     assert paused.is_visible("#help")
