@@ -182,7 +182,7 @@ from srlrace.hydra_bridge import compose
 from srlrace.task.race import Race, RaceMode
 from srlrace.task.reward import TERMS
 
-step.advance = lambda *arguments: None
+step.advance_all = lambda *arguments: None
 level = "level.obstacles=[{kind: sphere, center: [-20, 5, 2], radius: 0.1}]"
 words = ["level=none", level, "curriculum=none", "reward.crowding=-0.25", "--config-dir", "mine", "observation=rotors"]
 race = Race(compose(words), RaceMode.training(0, 2))
