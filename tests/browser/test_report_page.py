@@ -130,8 +130,8 @@ def test_a_number_leads_to_its_runs_and_a_run_to_its_settings(visit: Visit, stud
     assert drawer.evaluate("d => d.open")
     drawer.locator("tbody a").first.click()
     assert not drawer.evaluate("d => d.open")
-    details = page.locator(f"#run-{name}")
-    assert details.evaluate("d => d.open")
+    details = page.locator(f"#run-{name}[open]")  # once the page has heard of its new address
+    details.wait_for()
     details.locator("details > summary").click()
     assert "algo.gamma = " in details.locator("pre").inner_text()
     number.click()
