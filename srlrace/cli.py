@@ -122,11 +122,14 @@ def evaluate(
         typer.Option(help="train_map (default), level1, level2, level3.", autocompletion=complete_suite),
     ] = None,
     record: Annotated[str, typer.Option(metavar="all|N|none", help="Episodes to record.")] = "all",
+    snapshots: Annotated[
+        bool, typer.Option("--snapshots", help="Fly the policies kept along the training instead, unrecorded.")
+    ] = False,
     runs: RunsOption = None,
 ) -> None:
     """Fly trained policies; the default RUN is the latest finished one."""
     from srlrace.runs import State, find, latest_finished, runs_root
-    from srlrace.tables import evaluation_text
+    from srlrace.tables import evaluation_text, learning_table
 
     root, record = runs_root(runs), check_record(record)
     suites = check_suites(suite or ["train_map"])
@@ -135,14 +138,16 @@ def evaluate(
     if unfinished:
         fail(f"{unfinished[0]} has no policy yet; finish it with: srlrace resume {unfinished[0]}")
         raise typer.Exit(2)
-    from srlrace.evaluation import evaluate_run
+    from srlrace.evaluation import evaluate_run, evaluate_snapshots
 
     setup_logging()
     for run in chosen:
         for name in suites:
             say(f"{run.id}: {episodes} episodes of {name}")
-            summary = evaluate_run(run, episodes, name, record)
-            out.print(evaluation_text(run.id, summary))
+            if snapshots:
+                out.print(learning_table(run.id, evaluate_snapshots(run, episodes, name), episodes))
+            else:
+                out.print(evaluation_text(run.id, evaluate_run(run, episodes, name, record)))
 
 
 @app.command()

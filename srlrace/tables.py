@@ -94,6 +94,16 @@ def evaluation_text(name: str, summary: dict[str, Any]) -> Text:
     return text(f"{name}: {brief(str(summary.get('suite')), summary)}{crashed}")
 
 
+def learning_table(name: str, rows: Sequence[dict[str, Any]], episodes: int) -> Table:
+    """What the policies kept along a training did: one row each."""
+    table = Table("steps", "finished", "crashed", "time, s", title=clean(name), title_justify="left")
+    for row in rows:
+        time = "-" if row["time_s"] is None else f"{row['time_s']:.2f}"
+        finished, crashed = (f"{row[key]}/{episodes}" for key in ("finished", "crashed"))
+        table.add_row(f"{row['steps'] / 1e6:.2f} M", finished, crashed, time)
+    return table
+
+
 def filtered(runs: Sequence[RunFolder], filters: Sequence[str]) -> list[RunFolder]:
     """The runs that meet every ``name=value``; raises `ConfigError` for a name that no run has."""
     wanted = dict(_split(word) for word in filters)

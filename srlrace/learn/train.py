@@ -38,6 +38,7 @@ logger = logging.getLogger(__name__)
 
 SAVE_EVERY = 5.0  # s of wall-clock between checkpoints; results do not depend on it
 ROWS = 2000  # rows of progress.csv a training is spread over, at most
+SNAPSHOTS = 20  # policies kept along a training, so that its progress can be evaluated; results do not depend on it
 
 
 class RolloutBoundary(BaseCallback):
@@ -115,10 +116,20 @@ class Training:
             check_update(self.model)
             self._seen_steps = steps
             self._report(final)
+            self._keep_snapshot(steps)
             self._newest = Checkpoint(steps, capture(self.model, self.env), {})
             if final or time.monotonic() - self._saved >= SAVE_EVERY:
                 self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)
+
+    def _keep_snapshot(self, steps: int) -> None:
+        """Keep the policy of the first boundary after each of `SNAPSHOTS` equal parts of the budget."""
+        algo = self.config.algo
+        before = steps - algo.n_envs * algo.n_steps
+        if steps * SNAPSHOTS // algo.total_steps > before * SNAPSHOTS // algo.total_steps:
+            folder = self.folder.file("snapshots")
+            folder.mkdir(exist_ok=True)
+            save_policy(self.model.policy, folder / f"{steps}.safetensors")
 
     def _report(self, final: bool) -> None:
         steps = self.model.num_timesteps

@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+import pandas as pd
 from matplotlib.figure import Figure
 
 from srlrace.report.collect import Evaluation, Run
 from srlrace.report.courses import find_course
-from srlrace.report.learning_figure import learning_plot, read_progress, reward_plot
+from srlrace.report.learning_figure import (
+    evaluated_plot,
+    learning_plot,
+    read_learning,
+    read_progress,
+    reward_plot,
+)
 from srlrace.report.model import Cell, Report, Table
 from srlrace.report.plots import Plot, figure_of
 from srlrace.report.results_figure import flights_plot, results_plot
@@ -116,12 +123,21 @@ def _flown(group: Group, known: dict[str, Run]) -> dict[str, list[Evaluation]]:
 
 
 def _learning(group: Group, known: dict[str, Run]) -> Iterator[Plot]:
-    frames = {cell.method: [read_progress(known[run]) for run in cell.runs] for cell in group.cells}
-    drawn = {method: [frame for frame in found if frame is not None] for method, found in frames.items()}
-    drawn = {method: found for method, found in drawn.items() if found}
-    if drawn:
-        yield learning_plot(drawn, f"{group.name}-learning", group.title)
-        yield reward_plot(drawn, f"{group.name}-reward", group.title)
+    progress: dict[str, list[pd.DataFrame]] = {}
+    evaluated: dict[str, list[pd.DataFrame]] = {}
+    for cell in group.cells:
+        for run in cell.runs:
+            frame = read_progress(known[run])
+            if frame is not None:
+                progress.setdefault(cell.method, []).append(frame)
+                flown = read_learning(known[run], cell.suite, frame)
+                if flown is not None:
+                    evaluated.setdefault(cell.method, []).append(flown)
+    if evaluated:
+        yield evaluated_plot(evaluated, f"{group.name}-evaluated", group.title)
+    if progress:
+        yield learning_plot(progress, f"{group.name}-learning", group.title)
+        yield reward_plot(progress, f"{group.name}-reward", group.title)
 
 
 def _slug(text: str) -> str:

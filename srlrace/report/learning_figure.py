@@ -1,4 +1,4 @@
-"""Learning curves: outcomes, time and reward of the training episodes, with a band over seeds."""
+"""Learning curves: of the training episodes, and of policies kept along the way; bands over seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from srlrace.files import FileError, read_limited
+from srlrace.files import FileError, read_json, read_limited
 from srlrace.report.collect import Run
 from srlrace.report.plots import Key, Panel, Plot, methods_keys
 from srlrace.report.style import series
@@ -30,6 +30,7 @@ QUANTITIES = (
     ("crash_ratio", 100.0, "crashed (%)", (-3.0, 103.0)),
     ("time_s", 1.0, "time of finished (s)", None),
 )
+EVALUATED = (("finished_pct", 1.0, "finished (%)", (-3.0, 103.0)), ("time_s", 1.0, "time of finished (s)", None))
 TERM = "reward/"
 
 logger = logging.getLogger(__name__)
@@ -46,6 +47,53 @@ def read_progress(run: Run) -> pd.DataFrame | None:
         logger.warning("no learning curve of %s: %s", run.id, error)
         return None
     return frame if "steps" in frame and len(frame) else None
+
+
+def read_learning(run: Run, suite: str, progress: pd.DataFrame) -> pd.DataFrame | None:
+    """Return what the policies kept along a run's training did on a suite, with the wall-clock after which they were.
+
+    Columns: steps, finished_pct, crashed_pct, time_s (NaN where none finished), wall_s. None where none were flown, or,
+    with a warning, where the file cannot be used.
+    """
+    path = run.path / "eval" / suite / "learning.json"
+    if not path.exists() or "wall_s" not in progress:
+        return None
+    try:
+        stored = read_json(RunFolder(run.path).file("eval", suite, "learning.json"))
+        frame = pd.DataFrame(stored["snapshots"], columns=["steps", "finished", "crashed", "time_s"]).astype(float)
+        share = 100.0 / float(stored["episodes"])
+    except (FileError, RunError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        logger.warning("no evaluated learning curve of %s: %s", run.id, error)
+        return None
+    timed = progress[["steps", "wall_s"]].dropna().sort_values("steps")
+    wall = np.interp(frame["steps"], timed["steps"], timed["wall_s"])
+    return frame.assign(finished_pct=share * frame["finished"], crashed_pct=share * frame["crashed"], wall_s=wall)
+
+
+def evaluated_plot(methods: Frames, name: str, title: str) -> Plot:
+    """Return success and time of the policies kept along the training against wall-clock, one line per method."""
+    panels = []
+    for quantity, scale, label, limits in EVALUATED:
+        draw = partial(_draw_quantity, methods, AXES[1], (quantity, scale), label, limits)
+        alt = f"{label} of evaluated flights against wall-clock: {_last(methods, quantity, scale)}"
+        panels.append(Panel(draw, alt))
+    caption = (
+        "Policies kept along the training, each flown without exploration on the same frozen initial conditions as the "
+        "last one. Lines are means over seeds, bands reach from the lowest to the highest seed. " + first_good(methods)
+    )
+    keys = methods_keys([f"{name} (n={len(frames)})" for name, frames in methods.items()], _styles(len(methods)))
+    return Plot(name, title, caption, tuple(panels), columns=2, keys=keys)
+
+
+def first_good(methods: Frames, finished_pct: float = 99.0) -> str:
+    """Say after how long the policies of each method finished nearly all of their flights."""
+    parts = []
+    for method, frames in methods.items():
+        reached = [frame.loc[frame["finished_pct"] >= finished_pct, "wall_s"].min() for frame in frames]
+        times = [time for time in reached if np.isfinite(time)]
+        span = f" after {min(times):.0f} to {max(times):.0f} s" if times else ""
+        parts.append(f"{method} in {len(times)} of {len(frames)} seeds{span}")
+    return f"{finished_pct:g} % of flights were finished by {'; '.join(parts)}."
 
 
 def learning_plot(methods: Frames, name: str, title: str) -> Plot:

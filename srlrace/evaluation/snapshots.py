@@ -1,0 +1,54 @@
+"""How good a policy was in the course of its training: the policies kept along the way, evaluated like the last one."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from srlrace.evaluation.episodes import CRASHES, episode_rows, mean_or_none
+from srlrace.evaluation.flights import fly
+from srlrace.evaluation.suites import EVALUATION_SEED, make_suite
+from srlrace.files import write_sealed
+from srlrace.learn.policy import load_policy
+from srlrace.locks import hold
+from srlrace.runs import RunError, RunFolder
+
+SNAPSHOT = re.compile(r"([1-9][0-9]{0,11})\.safetensors")  # named after the training's steps
+
+
+def snapshots(run: RunFolder) -> dict[int, Path]:
+    """Return the policies kept along a run's training by the steps after which they were kept, in order."""
+    folder = run.file("snapshots")
+    found = {match[1]: path for path in folder.glob("*.safetensors") if (match := SNAPSHOT.fullmatch(path.name))}
+    return {steps: run.file("snapshots", found[str(steps)].name) for steps in sorted(map(int, found))}
+
+
+def evaluate_snapshots(run: RunFolder, episodes: int, suite: str = "train_map") -> list[dict[str, Any]]:
+    """Fly every snapshot on the frozen initial conditions of a suite; write and return ``learning.json``'s rows.
+
+    A row holds steps, finished and crashed episodes, and the mean time of the finished ones in s, or None. Raises
+    `RunError` where there are none or another process is at it, and `srlrace.files.FileError` for a damaged one.
+    """
+    kept = snapshots(run)
+    if not kept:
+        raise RunError(f"{run.id}: no snapshots; training keeps them, published runs leave them out")
+    config = run.load_config()
+    torch.set_num_threads(config.algo.threads)
+    prepared = make_suite(config, suite)
+    timed = "lap_time_s" if config.env.laps else "time_s"
+    rows = []
+    folder = run.file("eval", suite)
+    folder.mkdir(parents=True, exist_ok=True)
+    with hold(run.file("eval", f".{suite}.lock"), f"the evaluation of {run.id} on {suite}"):
+        for steps, path in kept.items():
+            race, _ = fly(load_policy(config, path), prepared, episodes, 0)
+            flown = episode_rows(prepared, race)
+            times = [row[timed] for row in flown if row["outcome"] == "finished"]
+            crashed = sum(row["outcome"] in CRASHES for row in flown)
+            rows.append({"steps": steps, "finished": len(times), "crashed": crashed, "time_s": mean_or_none(times)})
+        head = {"format": 1, "suite": suite, "episodes": episodes, "evaluation_seed": EVALUATION_SEED}
+        write_sealed(folder / "learning.json", {**head, "snapshots": rows})
+    return rows
