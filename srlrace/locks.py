@@ -9,7 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,7 +18,9 @@ from srlrace.files import naming, read_limited
 logger = logging.getLogger(__name__)
 
 PATIENCE = 0.5  # s: a lister holds a shared lock for microseconds; whoever holds it longer is at work
+NAMING = 5.0  # s: a holder says who it is as soon as it has the lock; on a busy machine that is not at once
 LOCK_LIMIT = 4096  # bytes
+UNKNOWN = "another process"
 WAIT = "SRLRACE_WAIT"  # set to 1: wait for whoever is at work instead of leaving
 
 
@@ -37,25 +39,30 @@ def hold(path: Path, name: str) -> Iterator[None]:
         _acquire(descriptor, path, name)
         who = {"pid": os.getpid(), "host": socket.gethostname(), "since": now()}
         with naming(path):
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, json.dumps(who).encode(), 0)
-        yield
+            os.ftruncate(descriptor, os.pwrite(descriptor, json.dumps(who).encode(), 0))
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # else the next holder would pass for this one until it has written its own name
+                os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)
 
 
 def _acquire(descriptor: int, path: Path, name: str) -> None:
-    give_up = time.monotonic() + PATIENCE
+    begun = time.monotonic()
     while True:
         try:
             return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            if time.monotonic() > give_up:
+            waited, who = time.monotonic() - begun, _living(path)
+            if waited > PATIENCE and (who or waited > PATIENCE + NAMING):
                 break
             time.sleep(0.01)
+    who = who or UNKNOWN
     if os.environ.get(WAIT) != "1":
-        raise RunError(f"{name} is held by {_holder_text(path)}; wait for it or stop it")
-    logger.info("%s is held by %s; waiting", name, _holder_text(path))
+        raise RunError(f"{name} is held by {who}; wait for it or stop it")
+    logger.info("%s is held by %s; waiting", name, who)
     fcntl.flock(descriptor, fcntl.LOCK_EX)
 
 
@@ -75,11 +82,40 @@ def holder(path: Path) -> str | None:
 
 
 def _holder_text(path: Path) -> str:
+    who = _named(path)
+    return _text(who) if who else UNKNOWN
+
+
+def _living(path: Path) -> str | None:
+    """Who has said to hold a lock, in words; None while that is nobody, or a process of this machine that is gone."""
+    who = _named(path)
+    if who is None or (who[1] == socket.gethostname() and not _alive(who[0])):
+        return None
+    return _text(who)
+
+
+def _named(path: Path) -> tuple[int, str, str] | None:
+    """Process, host and time in a lock file; None where it names nobody."""
     try:
         data = json.loads(read_limited(path, LOCK_LIMIT))
-        return f"process {int(data['pid'])} on {str(data['host'])[:64]!r} since {str(data['since'])[:32]}"
+        return int(data["pid"]), str(data["host"]), str(data["since"])
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
-        return "another process"
+        return None
+
+
+def _text(who: tuple[int, str, str]) -> str:
+    pid, host, since = who
+    return f"process {pid} on {host[:64]!r} since {since[:32]}"
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # somebody else's
+    return True
 
 
 def now() -> str:
