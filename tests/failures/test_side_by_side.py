@@ -12,25 +12,32 @@ from invariants import check_root, results
 from kinds import words
 from rich.console import Console
 
+from srlrace.config import run_id, to_dict
 from srlrace.files import write_sealed
+from srlrace.hydra_bridge import compose
 from srlrace.learn.checkpoint import Checkpoint, save_checkpoint
-from srlrace.runs import State, list_runs
+from srlrace.runs import RunFolder, State, list_runs
 from srlrace.tables import run_page, runs_table
 
 EIGHT = 8
 
 
-def start_eight(zygote, place, env=None) -> list[tuple[int, str]]:
-    """Eight identical trainings at once: exit status and words of each."""
-    command = ["train", *words("curriculum"), "algo.total_steps=25600", "--runs", place / "runs"]
+def eight_words(place) -> list[str]:
+    """The command of eight identical trainings."""
+    command = ["train", *words("curriculum"), "algo.total_steps=25600", "--runs", str(place / "runs")]
     command.remove("algo.total_steps=3840")
+    return command
+
+
+def start_eight(zygote, place, env=None) -> tuple[list[int], list]:
+    """Eight identical trainings at once: their processes, and the files of what they say."""
     outs = [place / f"out{i}" for i in range(EIGHT)]
-    processes = [zygote.start(command, out=out, env=env) for out in outs]
-    return [(zygote.wait(process).status, out.read_text()) for process, out in zip(processes, outs, strict=True)]
+    return [zygote.start(eight_words(place), out=out, env=env) for out in outs], outs
 
 
 def test_of_eight_one_trains_and_the_others_say_who(zygote, tmp_path):
-    ended = start_eight(zygote, tmp_path)
+    processes, outs = start_eight(zygote, tmp_path)
+    ended = [(zygote.wait(process).status, out.read_text()) for process, out in zip(processes, outs, strict=True)]
     assert sorted(status for status, _ in ended)[0] == 0
     trained = [text for status, text in ended if "is finished after" in text]
     assert len(trained) == 1
@@ -43,18 +50,26 @@ def test_of_eight_one_trains_and_the_others_say_who(zygote, tmp_path):
 
 
 def test_of_eight_that_wait_one_trains_and_all_succeed(zygote, tmp_path):
-    ended = start_eight(zygote, tmp_path, env={"SRLRACE_WAIT": "1"})
-    assert [status for status, _ in ended] == [0] * EIGHT, ended
-    texts = [text for _, text in ended]
+    """They find the run held by this process, which lets go when all of them wait."""
+    run = RunFolder(tmp_path / "runs" / run_id(compose(eight_words(tmp_path)[1:-2])))
+    with run.lock():
+        processes, outs = start_eight(zygote, tmp_path, env={"SRLRACE_WAIT": "1"})
+        waiting = f"{run.id} is held by process {os.getpid()} on "
+        give_up = time.monotonic() + 120
+        while not all(has_said(out, "; waiting") for out in outs) and time.monotonic() < give_up:
+            time.sleep(0.01)
+    statuses, texts = [zygote.wait(process).status for process in processes], [out.read_text() for out in outs]
+    assert statuses == [0] * EIGHT, texts
+    assert all(waiting in text and "; waiting" in text for text in texts), texts
     assert sum("is finished after" in text for text in texts) == 1
     assert sum("is finished; skipped" in text for text in texts) == EIGHT - 1
-    assert any("; waiting" in text for text in texts)
+
+
+def has_said(out, text) -> bool:
+    return out.exists() and text in out.read_text()
 
 
 def test_looking_while_others_write_never_fails(tmp_path, much, say):
-    from srlrace.config import to_dict
-    from srlrace.hydra_bridge import compose
-
     folder = tmp_path / "forest-srl-s0-00000000"
     folder.mkdir()
     config = json.dumps(to_dict(compose([])))
