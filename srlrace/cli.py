@@ -24,6 +24,7 @@ from srlrace.completion import (
 )
 from srlrace.console import fail, out, say, setup_logging
 from srlrace.orphans import LEASE, follow_parent
+from srlrace.signals import behind
 
 app = typer.Typer(
     name="srlrace",
@@ -358,13 +359,19 @@ def main() -> Any:
         with completing():
             app(prog_name="srlrace")
     except KeyboardInterrupt:
-        say("stopped; the same command starts anew, and leaves nothing half done")
-        sys.exit(130)
+        _leave_stopped()
     except OSError as error:
         fail(f"{error.strerror}: {error.filename}" if error.filename else str(error))
         sys.exit(1)
     except Exception as error:
+        if behind(error, KeyboardInterrupt):
+            _leave_stopped()
         if not type(error).__module__.startswith("srlrace."):
             raise  # a bug: it keeps its traceback
         fail(str(error))
         sys.exit(2)
+
+
+def _leave_stopped() -> None:
+    say("stopped; the same command starts anew, and leaves nothing half done")
+    sys.exit(130)

@@ -22,6 +22,22 @@ def handling(handler: Callable[[int, FrameType | None], object]) -> Iterator[Non
             signal.signal(number, before)
 
 
+def behind(error: BaseException, kind: type[BaseException]) -> BaseException | None:
+    """The exception of a ``kind`` that ``error`` came of, or None.
+
+    A handler's exception can come up in compiled code, which makes it the cause of an error of its own: CPython, of a
+    `SystemError`.
+    """
+    left, seen = [error], set[int]()
+    while left:
+        link = left.pop()
+        if isinstance(link, kind):
+            return link
+        seen.add(id(link))
+        left += [other for other in (link.__context__, link.__cause__) if other is not None and id(other) not in seen]
+    return None
+
+
 def pass_on(signum: int) -> None:
     """Let the handler that was there before `handling` have a signal that came during it, now that all is saved."""
     handler = signal.getsignal(signum)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from srlrace.signals import handling
+from srlrace.signals import behind, handling
 
 ONE_REQUEST = 1.0  # s: a scheduler signals each process of a job, and its parent passes the same on
 SHOW_CURSOR = b"\x1b[?25h"  # a progress bar hides it
@@ -70,3 +70,15 @@ def stop_request(run_id: str) -> Iterator[StopRequest]:
     request = StopRequest(run_id)
     with handling(request._handle):
         yield request
+
+
+@contextmanager
+def unwrapped() -> Iterator[None]:
+    """Raise `Interrupted` where the block ended in another error that it was the cause of."""
+    try:
+        yield
+    except Exception as error:
+        stop = behind(error, Interrupted)
+        if not isinstance(stop, Interrupted):
+            raise
+        raise Interrupted(stop.signum, stop.run_id) from error

@@ -304,3 +304,20 @@ def test_jobs_of_a_multirun_are_counted():
     jobs = hydra_bridge.expand(check_arguments(["-m", "seed=0,1,2", "reward=srl,paper", "name=x"]))
     assert len(jobs) == 6
     assert all("++name='x'" in job for job in jobs)
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_ctrl_c_is_one_also_within_compiled_code(place, monkeypatch, capsys, wrapped):
+    """CPython makes an error of its own of what a handler raises there."""
+
+    def interrupted(_):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as stop:
+            if wrapped:
+                raise SystemError("<a dispatcher> returned a result with an exception set") from stop
+            raise
+
+    monkeypatch.setattr("srlrace.bench.run", interrupted)
+    assert run(monkeypatch, "bench") == 130
+    assert capsys.readouterr().err == "stopped; the same command starts anew, and leaves nothing half done\n"

@@ -147,6 +147,49 @@ def test_a_signal_saves_and_says_how_to_go_on(tiny, reference, tmp_path, monkeyp
     assert same_result(run.path, reference)
 
 
+def stop_within_compiled_code(monkeypatch, owner, name, number):
+    """A signal at the n-th call of something, as CPython reports what a handler raised in compiled code."""
+    inner, count = getattr(owner, name), iter(range(10**6))
+
+    def patched(*values, **options):
+        if next(count) == number:
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            except Interrupted as stop:
+                raise SystemError("<a dispatcher> returned a result with an exception set") from stop
+        return inner(*values, **options)
+
+    monkeypatch.setattr(owner, name, patched)
+
+
+@pytest.mark.parametrize(("owner", "name", "number", "kept"), [
+    (training, "check_rollout", 4, 4 * ROLLOUT), (training, "RaceVecEnv", 0, None), (training, "build_ppo", 0, None),
+])  # fmt: skip
+def test_a_signal_within_compiled_code_is_one_all_the_same(
+    tiny, reference, tmp_path, monkeypatch, owner, name, number, kept
+):
+    monkeypatch.setattr(training, "SAVE_EVERY", 1e9)
+    with monkeypatch.context() as patch:
+        stop_within_compiled_code(patch, owner, name, number)
+        with pytest.raises(Interrupted, match="SIGTERM; resume with"):
+            train(tiny, tmp_path)
+    run = RunFolder(tmp_path / run_id(tiny))
+    assert run.state is State.INTERRUPTED  # not failed: nothing left an error.txt
+    found = load_checkpoint(run.path / "checkpoint")
+    assert (found.steps if found else None) == kept
+    train(tiny, tmp_path)
+    assert same_result(run.path, reference)
+
+
+def test_a_save_that_fails_after_a_signal_is_a_failure(tiny, tmp_path, monkeypatch):
+    """Though the signal was what it came of: nothing was saved, and no one may say so."""
+    monkeypatch.setattr(training, "SAVE_EVERY", 1e9)
+    stop_within_compiled_code(monkeypatch, training, "check_rollout", 4)
+    monkeypatch.setattr(training, "save_checkpoint", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
+    with pytest.raises(OSError, match="No space left"):
+        train(tiny, tmp_path)
+
+
 def test_stopped_at_every_single_rollout(tiny, reference, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         on_report(patch, 0, lambda _: None)
