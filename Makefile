@@ -73,7 +73,7 @@ reference:
 	@for policy in runs/*/policy.safetensors; do \
 		run=$$(dirname $$policy); target=runs/reference/$$(basename $$run); mkdir -p $$target; \
 		(cd $$run && cp --parents config.json run.json progress.csv policy.safetensors \
-			eval/*/episodes.csv eval/*/summary.json $(CURDIR)/$$target); \
+			eval/*/episodes.csv eval/*/summary.json $$(ls eval/*/learning.json 2>/dev/null) $(CURDIR)/$$target); \
 	done
 
 # The TypeScript MCAP reader, a test's independent witness; without npm that test is skipped.
