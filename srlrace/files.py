@@ -16,6 +16,7 @@ from typing import IO, Any
 JSON_LIMIT = 4 * 2**20  # bytes: a config with ten thousand obstacles is 1 MiB
 LEFTOVER = re.compile(r"\..+\.\d+-[0-9a-f]{8}\.tmp")  # what a kill in the midst of `atomic_write` leaves
 SEAL = "seal"  # key of a JSON file's checksum over all the rest of it
+DIGEST = "_sha256"  # how keys of other files' checksums end: whoever writes those, seals
 
 
 class FileError(ValueError):
@@ -115,7 +116,8 @@ def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
         raise FileError(f"cannot read {path}: not valid JSON ({reason})") from None
     if not isinstance(data, dict):
         raise FileError(f"cannot read {path}: not a JSON object")
-    if SEAL in data and data[SEAL] != _digest({key: value for key, value in data.items() if key != SEAL}):
+    sealed = SEAL in data or any(key.endswith(DIGEST) for key in data)  # else damage to the word would undo it
+    if sealed and data.get(SEAL) != _digest({key: value for key, value in data.items() if key != SEAL}):
         raise FileError(f"cannot read {path}: the checksum does not match, the file is damaged")
     return data
 

@@ -102,12 +102,18 @@ def flipped(data: bytes, bit: int) -> bytes:
     return bytes(copy)
 
 
-def test_a_damaged_summary_counts_as_none(run, tmp_path, chance, much):
+@pytest.mark.parametrize(("name", "look"), [
+    ("eval/train_map/summary.json", lambda run: run.evaluations), ("run.json", lambda run: run.info),
+])  # fmt: skip
+def test_damaged_facts_count_as_none(run, tmp_path, chance, much, name, look):
     """So that lists show no wrong number, and a sweep evaluates anew."""
     folder = tmp_path / run.name
     shutil.copytree(run, folder)
-    path = folder / "eval/train_map/summary.json"
-    data, whole = path.read_bytes(), RunFolder(folder).evaluations
-    for _ in range(much(50, 1000)):
-        path.write_bytes(flipped(data, chance.randrange(8 * len(data))))
-        assert RunFolder(folder).evaluations in ({}, whole)
+    path = folder / name
+    data, whole = path.read_bytes(), look(RunFolder(folder))
+    damaged = [flipped(data, chance.randrange(8 * len(data))) for _ in range(much(50, 1000))]
+    damaged += [data[: len(data) * percent // 100] for percent in range(0, 100, much(10, 1))]
+    damaged.append(data.replace(b'"seal"', b'"seam"'))  # the checksum itself
+    for content in damaged:
+        path.write_bytes(content)
+        assert look(RunFolder(folder)) in ({}, whole)
