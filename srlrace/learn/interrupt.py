@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from srlrace.signals import behind, handling
+from srlrace.signals import handling
 
 ONE_REQUEST = 1.0  # s: a scheduler signals each process of a job, and its parent passes the same on
 SHOW_CURSOR = b"\x1b[?25h"  # a progress bar hides it
@@ -36,6 +36,7 @@ class StopRequest:
         self.signum: int | None = None
         self._since = 0.0  # s, when it asked
         self._deferring = False
+        self._raised = False
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
         if self.signum is None:
@@ -50,11 +51,17 @@ class StopRequest:
     def check(self) -> None:
         """Raise `Interrupted` if a signal has come."""
         if self.signum is not None:
+            self._raised = True
             raise Interrupted(self.signum, self.run_id)
 
     @contextmanager
     def deferred(self, check: bool = True) -> Iterator[None]:
-        """Let the block, which moves the run from one complete state to the next, come to its end."""
+        """Let the block, which moves the run from one complete state to the next, come to its end.
+
+        Where ``check`` is set it is not begun after a signal, not even one whose `Interrupted` got lost.
+        """
+        if check:
+            self.check()
         self._deferring = True
         try:
             yield
@@ -63,22 +70,40 @@ class StopRequest:
         if check:
             self.check()
 
+    @contextmanager
+    def enforced(self) -> Iterator[None]:
+        """Raise `Interrupted` whatever else the block ends in once it was raised there.
+
+        It comes up anywhere. Where that is compiled code, CPython makes a `SystemError` of it; in a library's callback
+        it is lost, and what the library does next fails for want of what the callback had to do.
+        """
+        try:
+            yield
+        except Exception as error:
+            if self._raised and self.signum is not None:
+                raise Interrupted(self.signum, self.run_id) from error
+            raise
+
 
 @contextmanager
 def stop_request(run_id: str) -> Iterator[StopRequest]:
     """Catch `srlrace.signals.SIGNALS` for the duration of the block."""
     request = StopRequest(run_id)
-    with handling(request._handle):
+    with handling(request._handle), _lost_in_silence():
         yield request
 
 
 @contextmanager
-def unwrapped() -> Iterator[None]:
-    """Raise `Interrupted` where the block ended in another error that it was the cause of."""
+def _lost_in_silence() -> Iterator[None]:
+    """Print no traceback of an `Interrupted` that is lost in a callback: `StopRequest` remembers it."""
+    usual = sys.unraisablehook
+
+    def tell(lost: sys.UnraisableHookArgs) -> None:
+        if not isinstance(lost.exc_value, Interrupted):
+            usual(lost)
+
+    sys.unraisablehook = tell
     try:
         yield
-    except Exception as error:
-        stop = behind(error, Interrupted)
-        if not isinstance(stop, Interrupted):
-            raise
-        raise Interrupted(stop.signum, stop.run_id) from error
+    finally:
+        sys.unraisablehook = usual

@@ -23,7 +23,7 @@ from srlrace.learn.checkpoint import Checkpoint, load_checkpoint, save_checkpoin
 from srlrace.learn.display import Display
 from srlrace.learn.events import EventFile
 from srlrace.learn.finite import Diverged, check_rollout, check_update
-from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request, unwrapped
+from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.policy import save_policy
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.progress import LEARNER, ProgressFile, outcome_ratios, write_scalars
@@ -99,7 +99,7 @@ class Training:
             never: Any = None  # SB3 takes it, its annotation does not
             boundary = RolloutBoundary(self, self._request)
             try:
-                with unwrapped():
+                with self._request.enforced():
                     self.model.learn(remaining, boundary, log_interval=never, reset_num_timesteps=False)
             except Interrupted:
                 self._save()
@@ -223,7 +223,7 @@ def begin_run(config: Config, folder: RunFolder, argv: Sequence[str]) -> None:
 def attempt(config: Config, folder: RunFolder, request: StopRequest) -> float:
     """Train in a folder that is ours until the budget is spent; return the seconds it took."""
     with Display(config, folder.path) as display:
-        with unwrapped():
+        with request.enforced():
             training = Training(config, folder, display, request)
         try:
             training.run()

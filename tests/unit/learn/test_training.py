@@ -1,9 +1,11 @@
 """Training a run: what it leaves behind, how it stops, and that it continues as if it never had."""
 
 import csv
+import ctypes
 import json
 import logging
 import signal
+import sys
 
 import numpy as np
 import pytest
@@ -147,32 +149,51 @@ def test_a_signal_saves_and_says_how_to_go_on(tiny, reference, tmp_path, monkeyp
     assert same_result(run.path, reference)
 
 
-def stop_within_compiled_code(monkeypatch, owner, name, number):
-    """A signal at the n-th call of something, as CPython reports what a handler raised in compiled code."""
+def wrapped() -> None:
+    """A signal within compiled code, as CPython reports what its handler raised."""
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except Interrupted as stop:
+        raise SystemError("<a dispatcher> returned a result with an exception set") from stop
+
+
+def lost() -> None:
+    """A signal within a callback: what its handler raised is printed and goes no further."""
+    ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGTERM))()
+
+
+def lost_and_missed() -> None:
+    """The same in a library that then misses what the callback had to do, as compilers have it."""
+    lost()
+    raise RuntimeError("no compiled object yet")
+
+
+def stop_within(monkeypatch, owner, name, number, stop):
+    """Something at the n-th call of something."""
     inner, count = getattr(owner, name), iter(range(10**6))
 
     def patched(*values, **options):
         if next(count) == number:
-            try:
-                signal.raise_signal(signal.SIGTERM)
-            except Interrupted as stop:
-                raise SystemError("<a dispatcher> returned a result with an exception set") from stop
+            stop()
         return inner(*values, **options)
 
     monkeypatch.setattr(owner, name, patched)
 
 
-@pytest.mark.parametrize(("owner", "name", "number", "kept"), [
-    (training, "check_rollout", 4, 4 * ROLLOUT), (training, "RaceVecEnv", 0, None), (training, "build_ppo", 0, None),
+@pytest.mark.parametrize("stop", [wrapped, lost, lost_and_missed])
+@pytest.mark.parametrize(("name", "number", "kept"), [
+    ("check_rollout", 4, 4 * ROLLOUT), ("RaceVecEnv", 0, None), ("build_ppo", 0, None),
 ])  # fmt: skip
-def test_a_signal_within_compiled_code_is_one_all_the_same(
-    tiny, reference, tmp_path, monkeypatch, owner, name, number, kept
-):
+def test_a_signal_is_one_wherever_it_comes(tiny, reference, tmp_path, monkeypatch, stop, name, number, kept):
+    """Even where the exception that its handler raises becomes another one, or none."""
     monkeypatch.setattr(training, "SAVE_EVERY", 1e9)
+    told = []
     with monkeypatch.context() as patch:
-        stop_within_compiled_code(patch, owner, name, number)
+        patch.setattr(sys, "unraisablehook", told.append)
+        stop_within(patch, training, name, number, stop)
         with pytest.raises(Interrupted, match="SIGTERM; resume with"):
             train(tiny, tmp_path)
+        assert told == []
     run = RunFolder(tmp_path / run_id(tiny))
     assert run.state is State.INTERRUPTED  # not failed: nothing left an error.txt
     found = load_checkpoint(run.path / "checkpoint")
@@ -184,7 +205,7 @@ def test_a_signal_within_compiled_code_is_one_all_the_same(
 def test_a_save_that_fails_after_a_signal_is_a_failure(tiny, tmp_path, monkeypatch):
     """Though the signal was what it came of: nothing was saved, and no one may say so."""
     monkeypatch.setattr(training, "SAVE_EVERY", 1e9)
-    stop_within_compiled_code(monkeypatch, training, "check_rollout", 4)
+    stop_within(monkeypatch, training, "check_rollout", 4, wrapped)
     monkeypatch.setattr(training, "save_checkpoint", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
     with pytest.raises(OSError, match="No space left"):
         train(tiny, tmp_path)
