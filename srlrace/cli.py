@@ -358,8 +358,10 @@ def main() -> Any:
             sys.exit(train_command(words[1:]))
         with completing():
             app(prog_name="srlrace")
-    except KeyboardInterrupt:
-        _leave_stopped()
+    except (KeyboardInterrupt, SystemExit) as leaving:
+        if behind(leaving, KeyboardInterrupt):  # Typer makes an exit of it
+            _leave_stopped()
+        raise
     except OSError as error:
         fail(f"{error.strerror}: {error.filename}" if error.filename else str(error))
         sys.exit(1)
