@@ -122,6 +122,7 @@ BLOCKS = (
     "obstacle_distances",
     "obstacle_vectors",
     "rays",
+    "height",
 )
 
 
@@ -134,8 +135,14 @@ class ObservationConfig:
     targets: int = setting("waypoints seen ahead (j)", low=1, high=8, default=2)
     obstacles: int = setting("nearest obstacles seen and counted by the safety reward (N)", low=1, high=64, default=10)
     range: float = setting("obstacles farther than this are not seen", unit="m", above=0.0, high=100.0, default=10.0)
-    rays: int = setting("horizontal rays, evenly spaced in the world frame", low=4, high=256, default=32)
+    rays: int = setting("horizontal rays around the drone", low=4, high=256, default=32)
     ray_scale: float = setting("a ray of length d is seen as exp(-d / ray_scale)", unit="m", above=0.0, default=2.5)
+    ray_focus: float = setting("how much denser rays are ahead: 1 evenly spaced, 2 densest", low=1.0, high=4.0, default=1.0)
+    frame: str = setting(
+        "horizontal axes of what is seen: the world's, or x towards the next waypoint",
+        choices=("world", "target"),
+        default="world",
+    )
 
 
 @dataclass(frozen=True)

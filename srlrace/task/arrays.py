@@ -50,8 +50,9 @@ class Rules(NamedTuple):
     nearest: int  # N
     reach: float  # m, range in which obstacles are seen
     rays: int
-    directions: Floats  # (2, rays) unit vectors of the rays, world
+    directions: Floats  # (2, rays) unit vectors of the rays, in the axes of the observation
     ray_scale: float  # m
+    facing: bool  # the observation's x axis points to the target, not along the world's
     maps: int
     start_position: float  # m, half width
     start_velocity: float  # m/s, half width

@@ -10,8 +10,12 @@ body_rate               3       body rates                                      
 targets                 3 j     next j waypoints minus position, world frame            `TARGET_SCALE`
 obstacle_distances      N       centre distances, nearest first, padded with the range   `DISTANCE_SCALE`
 obstacle_vectors        4 N     unit vector to the centre (world) and that distance     1, `DISTANCE_SCALE`
-rays                    R       exp(-d / ray_scale) along fixed world directions        1
+rays                    R       exp(-d / ray_scale) along fixed directions              1
+height                  1       height above the floor                                  `HEIGHT_SCALE`
 ======================  ======  ======================================================  =================
+
+Vectors are in the world's axes, or with ``frame=target`` in axes that are turned about z so that x points from the
+drone to the next waypoint: what is alike in every direction then looks alike. The position stays in the world's.
 
 Scales are constants, not running statistics: a policy file needs nothing but its weights. After the
 last waypoint the last one repeats. To add a block: write its function, name it in `BLOCKS` with its
@@ -37,6 +41,7 @@ TARGET_SCALE = 5.0  # m; waypoints are 5-15 m apart
 SPEED_SCALE = 5.0  # m/s; flights average 8-13 m/s
 RATE_SCALE = 6.0  # rad/s; the largest commanded roll and pitch rate
 DISTANCE_SCALE = 20.0  # m; twice the range in which obstacles are seen
+HEIGHT_SCALE = 5.0  # m; as targets, whose heights differ by about this
 
 BLOCKS: dict[str, Callable[[ObservationConfig], int]] = {
     "position": lambda _: 3,
@@ -47,8 +52,9 @@ BLOCKS: dict[str, Callable[[ObservationConfig], int]] = {
     "obstacle_distances": lambda o: o.obstacles,
     "obstacle_vectors": lambda o: 4 * o.obstacles,
     "rays": lambda o: o.rays,
+    "height": lambda _: 1,
 }
-POSITION, ROTATION, VELOCITY, BODY_RATE, TARGETS, OBSTACLE_DISTANCES, OBSTACLE_VECTORS, RAYS = range(len(BLOCKS))
+POSITION, ROTATION, VELOCITY, BODY_RATE, TARGETS, OBSTACLE_DISTANCES, OBSTACLE_VECTORS, RAYS, HEIGHT = range(len(BLOCKS))
 
 
 def block_codes(observation: ObservationConfig) -> NDArray[np.int64]:
@@ -77,6 +83,26 @@ def write_rotation(state, i, out, at):
     out[at + 6] = two * (x * z - w * y)
     out[at + 7] = two * (y * z + w * x)
     out[at + 8] = one - two * (x * x + y * y)
+
+
+@inline
+def facing(fleet, rules, i):
+    """Return cosine and sine of the angle about z from the world's x axis to that of the observation."""
+    cos, sin = fleet.state.dtype.type(1.0), fleet.state.dtype.type(0.0)
+    if rules.facing:
+        w = rules.sequence[min(fleet.target[i], rules.sequence.shape[0] - 1)]
+        dx, dy = fleet.waypoints[w, 0, i] - fleet.state[0, i], fleet.waypoints[w, 1, i] - fleet.state[1, i]
+        length = math.sqrt(dx * dx + dy * dy)
+        if length > 1e-3:
+            cos, sin = fleet.state.dtype.type(dx / length), fleet.state.dtype.type(dy / length)
+    return cos, sin
+
+
+@inline
+def turn(out, at, step, cos, sin):
+    """Turn a horizontal vector, the values at ``at`` and ``at + step``, into the axes of the observation."""
+    x, y = out[at], out[at + step]
+    out[at], out[at + step] = cos * x + sin * y, cos * y - sin * x
 
 
 @inline
@@ -112,11 +138,11 @@ def write_vectors(fleet, field, i, distance, index, out, at):
 
 
 @inline
-def write_rays(fleet, rules, field, i, out, at):
+def write_rays(fleet, rules, field, i, cos, sin, out, at):
     """Write exp(-d / ray_scale) of horizontal rays to obstacles inflated by the drone and its margin."""
     rays = out[at : at + rules.rays]
     x, y, z = fleet.state[0, i], fleet.state[1, i], fleet.state[2, i]
-    cast_rays(x, y, z, fleet.map[i], *field, rules.keep_out, rules.reach, rules.directions, rays)
+    cast_rays(x, y, z, fleet.map[i], *field, rules.keep_out, rules.reach, cos, sin, rules.directions, rays)
     for k in range(rules.rays):
         rays[k] = math.exp(-rays[k] / rules.ray_scale)
 
@@ -127,6 +153,7 @@ def observe(fleet, rules, field, i, distance, index, out):
 
     ``distance`` and ``index`` (N,) are the nearest obstacles as `srlrace.world.field.nearest` gives them.
     """
+    cos, sin = facing(fleet, rules, i)
     at = 0
     for code in rules.blocks:
         if code == POSITION:
@@ -134,23 +161,33 @@ def observe(fleet, rules, field, i, distance, index, out):
             at += 3
         elif code == ROTATION:
             write_rotation(fleet.state, i, out, at)
+            for column in range(3):
+                turn(out, at + column, 3, cos, sin)
             at += 9
         elif code == VELOCITY:
             write_scaled(fleet.state, 3, i, SPEED_SCALE, out, at)
+            turn(out, at, 1, cos, sin)
             at += 3
         elif code == BODY_RATE:
             write_scaled(fleet.state, 10, i, RATE_SCALE, out, at)
             at += 3
         elif code == TARGETS:
             write_targets(fleet, rules, i, out, at)
-            at += 3 * rules.targets
+            for _ in range(rules.targets):
+                turn(out, at, 1, cos, sin)
+                at += 3
         elif code == OBSTACLE_DISTANCES:
             for k in range(distance.shape[0]):
                 out[at + k] = distance[k] * (1.0 / DISTANCE_SCALE)
             at += distance.shape[0]
         elif code == OBSTACLE_VECTORS:
             write_vectors(fleet, field, i, distance, index, out, at)
-            at += 4 * distance.shape[0]
+            for _ in range(distance.shape[0]):
+                turn(out, at, 1, cos, sin)
+                at += 4
         elif code == RAYS:
-            write_rays(fleet, rules, field, i, out, at)
+            write_rays(fleet, rules, field, i, cos, sin, out, at)
             at += rules.rays
+        elif code == HEIGHT:
+            out[at] = (fleet.state[2, i] - rules.bounds[2]) * (1.0 / HEIGHT_SCALE)
+            at += 1

@@ -105,9 +105,15 @@ def aligned(rows: NDArray[Any], dtype: Any) -> NDArray[Any]:
     return out
 
 
-def ray_directions(rays: int, dtype: Any = np.float32) -> NDArray[Any]:
-    """Unit vectors (2, `rays`) in the world's xy plane, ray i at the angle 2 pi i / `rays` from x."""
+def ray_directions(rays: int, dtype: Any = np.float32, focus: float = 1.0) -> NDArray[Any]:
+    """Unit vectors (2, `rays`) in a horizontal plane, ray i at the angle 2 pi i / `rays` from x.
+
+    With a `focus` f above 1 they crowd around x: an angle of pi u, -1 < u <= 1, becomes pi sign(u) abs(u)^f.
+    """
     angle = 2 * np.pi * np.arange(rays) / rays
+    if focus != 1.0:
+        turn = np.where(angle > np.pi, angle - 2 * np.pi, angle) / np.pi
+        angle = np.pi * np.sign(turn) * np.abs(turn) ** focus
     return np.ascontiguousarray([np.cos(angle), np.sin(angle)], dtype)
 
 

@@ -161,12 +161,14 @@ def cast_rays(
     geometry: Floats,
     inflation: Real,
     reach: Real,
+    cos: Real,
+    sin: Real,
     directions: Floats,
     out: Floats,
 ) -> None:
     """Horizontal distances along `directions` (2, R), unit vectors, to obstacles inflated by `inflation`.
 
-    Fills `out` (R,) with distances, `reach` where free, 0 everywhere inside an inflated obstacle. Of a lattice
+    The directions are given in axes that are turned about z by the angle of this cosine and sine. Fills `out` (R,) with distances, `reach` where free, 0 everywhere inside an inflated obstacle. Of a lattice
     only the layer nearest in z matters: all layers share their x and y, and a horizontal plane cuts
     equal spheres in concentric circles, the largest of which belongs to the nearest layer.
     """
@@ -183,9 +185,10 @@ def cast_rays(
         if circle <= ZERO:
             continue
         for jx in range(int(lattices[i, LAST]) + 1):
-            dx = lattices[i, ORIGIN] + lattices[i, PITCH] * np.float32(jx) - x
+            east = lattices[i, ORIGIN] + lattices[i, PITCH] * np.float32(jx) - x
             for jy in range(int(lattices[i, LAST + 1]) + 1):
-                dy = lattices[i, ORIGIN + 1] + lattices[i, PITCH + 1] * np.float32(jy) - y
+                north = lattices[i, ORIGIN + 1] + lattices[i, PITCH + 1] * np.float32(jy) - y
+                dx, dy = cos * east + sin * north, cos * north - sin * east
                 d2 = dx * dx + dy * dy
                 if d2 <= circle:
                     for ray in range(rays):

@@ -125,7 +125,7 @@ def test_rays_match_enumeration(world, width) -> None:
     free = 0
     for map_index, truth in enumerate(truths):
         for point in draw_points(rng, truth, low, high, 4).astype(width):
-            cast_rays(*point, map_index, *field.arrays, width(0.37), width(REACH), directions, out)
+            cast_rays(*point, map_index, *field.arrays, width(0.37), width(REACH), width(1), width(0), directions, out)
             for (cos, sin), distance in zip(directions.T.astype(float), out, strict=True):
                 aim, place = np.array([cos, sin, 0.0]), point.astype(float)
                 # where a ray grazes a sphere, rounding decides: accept the answers of slightly smaller and larger ones
@@ -155,7 +155,7 @@ def test_empty_world_and_states_that_are_not_finite(width) -> None:
         ask_nearest(some, point, 0)
         swept_gap(*point.astype(width), *np.zeros(3, width), 0, *some.arrays)
         rays = ray_directions(4, width), np.empty(4, width)
-        cast_rays(*point.astype(width), 0, *some.arrays, width(0), width(1), *rays)
+        cast_rays(*point.astype(width), 0, *some.arrays, width(0), width(1), width(1), width(0), *rays)
 
 
 def test_field_of_nothing_is_refused() -> None:
