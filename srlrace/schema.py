@@ -137,7 +137,9 @@ class ObservationConfig:
     range: float = setting("obstacles farther than this are not seen", unit="m", above=0.0, high=100.0, default=10.0)
     rays: int = setting("horizontal rays around the drone", low=4, high=256, default=32)
     ray_scale: float = setting("a ray of length d is seen as exp(-d / ray_scale)", unit="m", above=0.0, default=2.5)
-    ray_focus: float = setting("how much denser rays are ahead: 1 evenly spaced, 2 densest", low=1.0, high=4.0, default=1.0)
+    ray_focus: float = setting(
+        "rays are denser ahead: an angle of pi u becomes pi u^this; 1 is evenly spaced", low=1.0, high=4.0, default=1.0
+    )
     frame: str = setting(
         "horizontal axes of what is seen: the world's, or x towards the next waypoint",
         choices=("world", "target"),

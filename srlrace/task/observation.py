@@ -54,7 +54,7 @@ BLOCKS: dict[str, Callable[[ObservationConfig], int]] = {
     "rays": lambda o: o.rays,
     "height": lambda _: 1,
 }
-POSITION, ROTATION, VELOCITY, BODY_RATE, TARGETS, OBSTACLE_DISTANCES, OBSTACLE_VECTORS, RAYS, HEIGHT = range(len(BLOCKS))
+POSITION, ROTATION, VELOCITY, BODY_RATE, TARGETS, OBSTACLE_DISTANCES, OBSTACLE_VECTORS, RAYS, HEIGHT = range(9)
 
 
 def block_codes(observation: ObservationConfig) -> NDArray[np.int64]:

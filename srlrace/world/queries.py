@@ -168,9 +168,10 @@ def cast_rays(
 ) -> None:
     """Horizontal distances along `directions` (2, R), unit vectors, to obstacles inflated by `inflation`.
 
-    The directions are given in axes that are turned about z by the angle of this cosine and sine. Fills `out` (R,) with distances, `reach` where free, 0 everywhere inside an inflated obstacle. Of a lattice
-    only the layer nearest in z matters: all layers share their x and y, and a horizontal plane cuts
-    equal spheres in concentric circles, the largest of which belongs to the nearest layer.
+    The directions are given in axes turned about z by the angle of this cosine and sine. Fills `out` (R,) with
+    distances, `reach` where free, 0 everywhere inside an inflated obstacle. Of a lattice only the layer nearest in z
+    matters: all layers share their x and y, and a horizontal plane cuts equal spheres in concentric circles, the
+    largest of which belongs to the nearest layer.
     """
     rays = out.shape[0]
     for ray in range(rays):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from srlrace.task.observation import (
     DISTANCE_SCALE,
+    HEIGHT_SCALE,
     POSITION_SCALE,
     RATE_SCALE,
     SPEED_SCALE,
@@ -17,10 +18,10 @@ from srlrace.task.observation import (
     observation_size,
 )
 
-SIZES = {"paper": 34, "relative": 64, "rays": 56, "blind": 24, "song": 18}
+SIZES = {"paper": 34, "relative": 64, "rays": 56, "facing": 70, "blind": 24, "song": 18}
 BLOCK_SIZES = {
     "position": 3, "rotation": 9, "velocity": 3, "body_rate": 3, "targets": 6,
-    "obstacle_distances": 10, "obstacle_vectors": 40, "rays": 32,
+    "obstacle_distances": 10, "obstacle_vectors": 40, "rays": 32, "height": 1,
 }  # fmt: skip
 N = 24
 
@@ -72,6 +73,7 @@ def test_own_state(moved):
     np.testing.assert_allclose(block(seen, "position") * POSITION_SCALE, state[:3].T, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(block(seen, "velocity") * SPEED_SCALE, state[3:6].T, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(block(seen, "body_rate") * RATE_SCALE, state[10:13].T, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(block(seen, "height")[:, 0] * HEIGHT_SCALE, state[2], rtol=1e-5, atol=1e-6)
     matrices = Rotation.from_quat(state[6:10].T.astype(float), scalar_first=True).as_matrix()
     np.testing.assert_allclose(block(seen, "rotation"), matrices.reshape(N, 9), atol=2e-6)
 
@@ -146,32 +148,50 @@ def test_presets_are_their_blocks_in_order(config, moved, flown, preset):
     race.fleet.target[:] = np.minimum(race.fleet.target, 8)
     race.fleet.waypoints[:] = full.fleet.waypoints
     action = np.zeros((N, 4), np.float32)
-    others = np.concatenate([block_of(race, name) for name in settings.observation.blocks], axis=1)
     race.step(action)
     got = np.where((race.output.outcome > 0)[:, None], race.output.terminal_observation, race.output.observation)
-    assert got.shape == others.shape
-    again = np.concatenate([block_of(race, name) for name in settings.observation.blocks], axis=1)
-    np.testing.assert_allclose(got, again, atol=2e-5)
+    at = 0
+    for name in settings.observation.blocks:
+        part = got[:, at : at + block_size(settings.observation, name)]
+        expected = block_of(race, name)
+        if expected is not None:
+            np.testing.assert_allclose(part, expected, atol=2e-5, err_msg=name)
+        at += part.shape[1]
+    assert at == got.shape[1]
+
+
+def block_size(observation, name):
+    """Values of a block: those of rays can be chosen."""
+    return observation.rays if name == "rays" else BLOCK_SIZES[name]
+
+
+def in_its_axes(race, vectors):
+    """World vectors (n, k, 3) as the observation has them: with frame=target, x points to the next waypoint."""
+    if race.config.observation.frame == "world":
+        return vectors
+    target = race.fleet.waypoints[np.minimum(race.fleet.target, 8), :, np.arange(race.n)].astype(float)
+    to = target - race.fleet.state[:3].T
+    back = Rotation.from_euler("z", -np.arctan2(to[:, 1], to[:, 0])[:, None]).as_matrix()
+    return np.einsum("nij,nkj->nki", back, vectors)
 
 
 def block_of(race, name):
-    """A block from the race's present state; obstacle blocks are taken as they come (checked above)."""
-    state, n = race.fleet.state, race.n
+    """A block from the race's present state; None for obstacles, which have tests of their own."""
+    state, n = race.fleet.state.astype(float), race.n
     if name == "position":
         return state[:3].T / POSITION_SCALE
     if name == "velocity":
-        return state[3:6].T / SPEED_SCALE
+        return in_its_axes(race, state[3:6].T[:, None]).reshape(n, 3) / SPEED_SCALE
     if name == "body_rate":
         return state[10:13].T / RATE_SCALE
     if name == "rotation":
-        return Rotation.from_quat(state[6:10].T.astype(float), scalar_first=True).as_matrix().reshape(n, 9)
+        axes = Rotation.from_quat(state[6:10].T, scalar_first=True).as_matrix().transpose(0, 2, 1)
+        return in_its_axes(race, axes).transpose(0, 2, 1).reshape(n, 9)
     if name == "targets":
         which = np.minimum(race.fleet.target[:, None] + [0, 1], 8)
         there = race.fleet.waypoints[which, :, np.arange(n)[:, None]]
-        return ((there - state[:3].T[:, None]) / TARGET_SCALE).reshape(n, 6)
-    ended = (race.output.outcome > 0)[:, None]
-    values = np.where(ended, race.output.terminal_observation, race.output.observation)
-    return values[:, -BLOCK_SIZES[name] :]
+        return in_its_axes(race, there - state[:3].T[:, None]).reshape(n, 6) / TARGET_SCALE
+    return state[2:3].T / HEIGHT_SCALE if name == "height" else None
 
 
 def test_song_sees_neither_position_nor_obstacles(config, flown, place_drones, hover):
@@ -197,6 +217,7 @@ def test_the_documented_indices(config):
         assert int(documented) == size
         at, expected = 0, []
         for name in config(f"observation={preset}").observation.blocks:
-            expected.append(f"`{name}` {at}-{at + BLOCK_SIZES[name] - 1}")
-            at += BLOCK_SIZES[name]
+            last = at + block_size(config(f"observation={preset}").observation, name) - 1
+            expected.append(f"`{name}` {at}-{last}" if last > at else f"`{name}` {at}")
+            at = last + 1
         assert blocks == ", ".join(expected)
