@@ -120,7 +120,10 @@ def evaluate(
     episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Episodes per suite.")] = 1000,
     suite: Annotated[
         list[str] | None,
-        typer.Option(help="train_map (default), level1, level2, level3.", autocompletion=complete_suite),
+        typer.Option(
+            help="train_map (default), unseen, level1, level2, level3; disturbed: level2-wind5.",
+            autocompletion=complete_suite,
+        ),
     ] = None,
     record: Annotated[str, typer.Option(metavar="all|N|none", help="Episodes to record.")] = "all",
     snapshots: Annotated[
@@ -227,7 +230,10 @@ def replay_flights(
         Path | None, typer.Option(metavar="FILE.mcap", help="The same, from this recording.")
     ] = None,
     suite: Annotated[
-        str, typer.Option(help="train_map, level1, level2, level3.", autocompletion=complete_suite)
+        str,
+        typer.Option(
+            help="train_map, unseen, level1, level2, level3; disturbed: level2-wind5.", autocompletion=complete_suite
+        ),
     ] = "train_map",
     out_file: Annotated[
         Path | None,
@@ -331,14 +337,9 @@ def check_record(value: str) -> str:
 
 def check_suites(names: list[str]) -> list[str]:
     """Check ``--suite``; raises `ConfigError`."""
-    from srlrace.parse import ConfigError, nearest
-    from srlrace.parse import show as quoted
-    from srlrace.schema import SUITES
+    from srlrace.suites import check_suite
 
-    for name in names:
-        if name not in SUITES:
-            raise ConfigError(f"--suite: got {quoted(name)}; takes one of {', '.join(SUITES)}{nearest(name, SUITES)}")
-    return names
+    return [check_suite(name, "--suite") for name in names]
 
 
 def main() -> Any:

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import wraps
 
-from srlrace.schema import SUITES
-
 COMPLETE = "_SRLRACE_COMPLETE"  # Typer's variable: set while a shell asks
 
 Completer = Callable[[str], list[str]]
@@ -63,7 +61,9 @@ def complete_experiment(incomplete: str) -> Iterable[str]:
 @quietly
 def complete_suite(incomplete: str) -> Iterable[str]:
     """Names of evaluation suites."""
-    return SUITES
+    from srlrace.suites import suite_names
+
+    return suite_names()
 
 
 @contextmanager

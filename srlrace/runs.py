@@ -100,6 +100,10 @@ class RunFolder:
         summaries = {suite: self._json("eval", suite, "summary.json") for suite in suites}
         return {suite: summary for suite, summary in summaries.items() if summary and self._belong(suite, summary)}
 
+    def summary(self, suite: str) -> dict[str, Any]:
+        """What ``summary.json`` of a suite holds; empty when it is missing or broken."""
+        return self._json("eval", suite, "summary.json")
+
     def _belong(self, suite: str, summary: dict[str, Any]) -> bool:
         try:
             return TABLE_DIGEST not in summary or bool(self.episodes(suite))

@@ -13,7 +13,8 @@ from typing import Any
 
 Vec3 = tuple[float, float, float]
 
-SUITES = ("train_map", "level1", "level2", "level3")  # what a policy can be evaluated on
+# Sets of maps to evaluate a policy on: its training maps, unseen ones of the same level, and of levels 1 to 3.
+SUITES = ("train_map", "unseen", "level1", "level2", "level3")
 
 FAR = 10_000.0  # m: no coordinate beyond this; metres stay exact to 1 mm in single precision
 
@@ -234,6 +235,37 @@ class AlgoConfig:
 @dataclass(frozen=True, kw_only=True)
 class Config:
     """One run, completely: the same Config gives the same run."""
+
+@dataclass(frozen=True)
+class DisturbanceConfig:
+    """How the world of an evaluation differs from the nominal one, which policy and rate controller believe in."""
+
+    name: str = setting("name of the disturbance, part of the suite's name")
+    mass: float = setting(
+        "mass, as a multiple of the nominal one; the inertia stays", above=0.0, high=10.0, default=1.0
+    )
+    drag: float = setting("drag force, as a multiple of the nominal one", low=0.0, high=10.0, default=1.0)
+    thrust: float = setting("what rotors deliver, as a multiple of what is asked", above=0.0, high=10.0, default=1.0)
+    delay: float = setting(
+        "an action takes effect this much later; whole control periods", unit="s", low=0.0, high=1.0, default=0.0
+    )
+    position_noise: float = setting(
+        "standard deviation of the estimated position, per axis", unit="m", low=0.0, high=10.0, default=0.0
+    )
+    velocity_noise: float = setting(
+        "standard deviation of the estimated velocity, per axis", unit="m/s", low=0.0, high=10.0, default=0.0
+    )
+    attitude_noise: float = setting(
+        "standard deviation of the estimated attitude, per body axis", unit="rad", low=0.0, high=1.0, default=0.0
+    )
+    noise_time: float = setting(
+        "time over which errors of the estimate stay alike (1/e); 0: new at each step",
+        unit="s", low=0.0, high=1000.0, default=0.0,
+    )  # fmt: skip
+    wind: float = setting(
+        "steady horizontal wind, from a direction drawn per episode", unit="m/s", low=0.0, high=100.0, default=0.0
+    )
+
 
     seed: int = setting("seed of everything random in training", low=0, high=2**31 - 1)
     name: str = setting("your own label, replaces the method in the run id", optional=True, default="")

@@ -12,6 +12,7 @@ import numpy as np
 from srlrace.evaluation.suites import EVALUATION_SEED, Suite
 from srlrace.provenance import versions
 from srlrace.report.stats import wilson
+from srlrace.suites import definition
 from srlrace.task.arrays import FINISHED, MIN_CLEARANCE, OUTCOMES, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED
 from srlrace.task.race import Race
 
@@ -90,10 +91,12 @@ def summarise(run_id: str, suite: Suite, rows: list[dict[str, Any]]) -> dict[str
     times = [row[timed] for row in finished]
     horizon = suite.config.env.horizon
     mean = mean_or_none(times)
+    disturbed = definition(suite.disturbance)
     return {
         "format": 1,
         "run": run_id,
         "suite": suite.name,
+        **({"disturbance": disturbed} if disturbed else {}),
         "episodes": len(rows),
         "evaluation_seed": EVALUATION_SEED,
         "maps": len(suite.map_seeds),

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from srlrace.evaluation.suites import EVALUATION_SEED, Suite
+from srlrace.evaluation.suites import Suite
 from srlrace.learn.policy import act
 from srlrace.recording import Flight, SceneObstacle
 from srlrace.task.arrays import FLYING
-from srlrace.task.race import Race, RaceMode
+from srlrace.task.race import Race
 from srlrace.world.obstacles import Obstacle
 
 
@@ -83,7 +83,7 @@ def scene_obstacle(obstacle: Obstacle) -> SceneObstacle:
 
 def fly(policy: ActorCriticPolicy, suite: Suite, episodes: int, recorded: int) -> tuple[Race, History | None]:
     """Fly ``episodes`` episodes of the suite to their ends, keeping the trajectories of the first ``recorded``."""
-    race = Race(suite.config, RaceMode.evaluation(EVALUATION_SEED, np.arange(episodes)), suite.field)
+    race = suite.race(episodes)
     observation = race.reset()
     history = History(race, recorded) if recorded else None
     flying = np.ones(episodes, np.bool_)

@@ -1,7 +1,7 @@
 """Suites: what a policy is evaluated on.
 
-Initial conditions depend on the suite and the episode's number alone: every method meets the same
-ones (common random numbers), and no training draws them.
+Initial conditions depend on the suite's maps and the episode's number alone: every method meets the same ones,
+disturbed or not (common random numbers), and no training draws them.
 """
 
 from __future__ import annotations
@@ -9,10 +9,15 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from srlrace.config import Config, LevelConfig
+import numpy as np
+
+from srlrace.config import Config, ConfigError, LevelConfig
+from srlrace.evaluation.disturbance import DisturbedRace, periods
 from srlrace.runs import RunError
-from srlrace.schema import SUITES
+from srlrace.schema import DisturbanceConfig
+from srlrace.suites import NOMINAL, disturbance_of, maps_of
 from srlrace.task.certificate import certified_field, unseen_maps
+from srlrace.task.race import Race, RaceMode
 from srlrace.world.field import ObstacleField
 
 EVALUATION_SEED = 20_240_401  # first word of every evaluation stream; ours, arbitrary, never a training seed
@@ -21,12 +26,20 @@ UNSEEN_MAPS = 100  # per level
 
 @dataclass(frozen=True)
 class Suite:
-    """What a policy is evaluated on: a configuration to fly in, and the seeds of its maps."""
+    """What a policy is evaluated on: a configuration to fly in, the seeds of its maps, and what is disturbed."""
 
     name: str
     config: Config
     map_seeds: tuple[int, ...]
     field: ObstacleField
+    disturbance: DisturbanceConfig = NOMINAL
+
+    def race(self, episodes: int) -> Race:
+        """Return a race of the first ``episodes`` episodes, not reset yet."""
+        mode = RaceMode.evaluation(EVALUATION_SEED, np.arange(episodes))
+        if self.disturbance == NOMINAL:
+            return Race(self.config, mode, self.field)
+        return DisturbedRace(self.config, mode, self.field, self.disturbance)
 
 
 def preset_level(name: str) -> LevelConfig:
@@ -39,16 +52,29 @@ def preset_level(name: str) -> LevelConfig:
 def make_suite(config: Config, name: str) -> Suite:
     """Build a suite for a run's configuration: its own maps, or certified ones that no training has seen.
 
-    Initial conditions are those of ``randomization=init`` whatever the training drew.
+    Initial conditions are those of ``randomization=init`` whatever the training drew. Raises `RunError` for a suite
+    that there is not, or that this run cannot fly.
     """
     from srlrace.hydra_bridge import compose
 
-    if name not in SUITES:
-        raise RunError(f"suite: got {name!r}, takes one of {', '.join(SUITES)}")
-    level = config.level if name == "train_map" else preset_level(name.removeprefix("level"))
+    try:
+        disturbance = disturbance_of(name)
+        periods(disturbance.delay, config.sim.control_period)
+    except (ConfigError, ValueError) as error:
+        raise RunError(str(error)) from None
+    maps = maps_of(name)
+    level = preset_level(maps.removeprefix("level")) if maps.startswith("level") else config.level
     flown = dataclasses.replace(config, level=level, randomization=compose(["randomization=init"]).randomization)
-    if name == "train_map":
-        seeds = tuple(range(level.map_seed, level.map_seed + level.maps))
-    else:
-        seeds = unseen_maps(flown, UNSEEN_MAPS)
-    return Suite(name, flown, seeds, certified_field(flown, [seed - level.map_seed for seed in seeds]))
+    seeds = _train_seeds(level) if maps == "train_map" else _unseen_seeds(flown, name)
+    field = certified_field(flown, [seed - level.map_seed for seed in seeds])
+    return Suite(name, flown, seeds, field, disturbance)
+
+
+def _train_seeds(level: LevelConfig) -> tuple[int, ...]:
+    return tuple(range(level.map_seed, level.map_seed + level.maps))
+
+
+def _unseen_seeds(config: Config, suite: str) -> tuple[int, ...]:
+    if not config.level.spacings:
+        raise RunError(f"suite {suite}: level {config.level.name} draws no maps, so that there are no unseen ones")
+    return unseen_maps(config, UNSEEN_MAPS)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from srlrace.runs import RunError, RunFolder, State, list_runs
-from srlrace.schema import SUITES, AlgoConfig, Config
+from srlrace.schema import AlgoConfig, Config
+from srlrace.suites import definition, disturbance_of, suite_names
 
 GATES_LIMIT = 1_001_000  # a thousand laps of a thousand waypoints, the most that a track may have, and the first again
 CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts
@@ -79,9 +81,7 @@ def collect(root: Path) -> tuple[tuple[Run, ...], tuple[str, ...]]:
 
 def _read_suites(folder: RunFolder, run: Run) -> list[str]:
     problems = []
-    for suite in SUITES:
-        if not (folder.path / "eval" / suite / "episodes.csv").is_file():
-            continue
+    for suite in _flown_suites(folder):
         try:
             run.evaluations[suite] = read_evaluation(folder, suite, run.config)
         except (OSError, ValueError, OverflowError) as error:
@@ -89,9 +89,22 @@ def _read_suites(folder: RunFolder, run: Run) -> list[str]:
     return problems
 
 
+def _flown_suites(folder: RunFolder) -> list[str]:
+    """The suites with a table, in the order in which suites are listed."""
+    try:
+        present = {path.name for path in (folder.path / "eval").iterdir()}
+    except OSError:
+        return []
+    known = [suite for suite in suite_names() if suite in present]
+    return [suite for suite in known if (folder.path / "eval" / suite / "episodes.csv").is_file()]
+
+
 def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation:
     """Read ``eval/<suite>``; raises OSError, ValueError or OverflowError with what is wrong."""
     path = folder.file("eval", suite, "episodes.csv")
+    summary = folder.summary(suite)
+    if summary.get("disturbance", {}) != definition(disturbance_of(suite)):
+        raise ValueError(f"flown under another disturbance; repeat: srlrace eval {folder.id} --suite {suite}")
     timed = "lap_time_s" if config.env.laps else "time_s"
     columns = {"episode", "map", "outcome", "gates_passed", "min_clearance_m", "time_s", timed}
     table = pd.read_csv(BytesIO(folder.episodes(suite)), usecols=sorted(columns))
@@ -106,7 +119,7 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
         raise ValueError(f"a finished episode without {timed}")
     return Evaluation(
         suite=suite,
-        seed=_evaluation_seed(folder, suite),
+        seed=_evaluation_seed(summary),
         horizon_s=config.env.horizon,
         newest=path.stat().st_mtime,
         episode=table["episode"].to_numpy(dtype=np.int64),
@@ -128,6 +141,6 @@ def _counts(column: pd.Series) -> npt.NDArray[np.int64]:
     return counts
 
 
-def _evaluation_seed(folder: RunFolder, suite: str) -> int:
-    seed = folder.evaluations.get(suite, {}).get("evaluation_seed", -1)
+def _evaluation_seed(summary: dict[str, Any]) -> int:
+    seed = summary.get("evaluation_seed", -1)
     return seed if isinstance(seed, int) else -1

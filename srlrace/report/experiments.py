@@ -8,7 +8,8 @@ from typing import Any
 
 import yaml
 
-from srlrace.schema import SUITES
+from srlrace.parse import ConfigError
+from srlrace.suites import check_suite
 
 QUANTITIES = ("time", "crash")
 
@@ -119,8 +120,10 @@ def _row(data: dict[str, Any]) -> Row:
 
 def _check(experiment: Experiment, path: Path) -> None:
     for suite in experiment.suites:
-        if suite not in SUITES:
-            raise ExperimentError(f"{path}: suite {suite!r} is none of {', '.join(SUITES)}")
+        try:
+            check_suite(suite)
+        except ConfigError as error:
+            raise ExperimentError(f"{path}: {error}") from None
     for quantity in (*experiment.columns, *filter(None, [experiment.paired])):
         if quantity not in QUANTITIES:
             raise ExperimentError(f"{path}: column {quantity!r} is none of {', '.join(QUANTITIES)}")

@@ -25,6 +25,7 @@ from srlrace.report.plots import Plot, figure_of
 from srlrace.report.results_figure import flights_plot, results_plot
 from srlrace.report.style import styled
 from srlrace.report.trajectory_figure import trajectory_plot
+from srlrace.suites import maps_of
 
 RESOLUTION = 160  # dots per inch of the PNG
 FORMATS: dict[str, dict[str, None]] = {  # without dates: the same figure is the same file
@@ -55,8 +56,8 @@ class Group:
 
 
 def groups(table: Table) -> Iterator[Group]:
-    """Yield the filled cells of a table by environment and suite."""
-    filled = (cell for cell in table.cells if cell.runs)
+    """Yield the filled cells of a table by environment and suite; disturbed ones are in the results alone."""
+    filled = (cell for cell in table.cells if cell.runs and maps_of(cell.suite) == cell.suite)
     for (environment, suite), cells in groupby(filled, key=lambda cell: (cell.environment, cell.suite)):
         yield Group(table, environment, suite, tuple(cells))
 

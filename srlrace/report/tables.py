@@ -15,6 +15,7 @@ from srlrace.report.numbers import cell_numbers, paired_difference
 from srlrace.report.reference import cell_reference, reference_notes
 from srlrace.runs import State
 from srlrace.schema import Config
+from srlrace.suites import describe_suite
 
 Compose = Callable[[tuple[str, ...]], Config]
 
@@ -92,8 +93,7 @@ def _notes(experiment: Experiment, place: Place, group: Group) -> tuple[str, ...
 
 
 def _environment(place: Place) -> str:
-    level = place.suite.removeprefix("level")
-    return place.row.environment if level == place.suite else f"{place.row.environment}, unseen level {level}"
+    return ", ".join(filter(None, (place.row.environment, describe_suite(place.suite))))
 
 
 def _command(runs: Sequence[Run], experiment: Experiment, place: Place, group: Group | None) -> str:

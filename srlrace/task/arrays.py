@@ -69,6 +69,7 @@ class Rules(NamedTuple):
     autoreset: bool
 
 
+    wind: Floats  # (3, n) m/s, world; (3, 0) in still air
 class Fleet(NamedTuple):
     """Changes at every step or reset: together with `Memory` the whole state of a race."""
 

@@ -16,7 +16,7 @@ from srlrace.task.observation import block_codes, observation_size
 from srlrace.task.random import make_streams
 from srlrace.task.reset import record_size
 from srlrace.task.reward import TERMS, weights
-from srlrace.task.step import reset_all, step_all
+from srlrace.task.step import observe_all, reset_all, step_all
 from srlrace.world.field import ObstacleField, ray_directions
 from srlrace.world.track import target_sequence
 
@@ -105,6 +105,7 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         target=np.zeros(n, np.int32),
         first_target=np.zeros(n, np.int32),
         steps=np.zeros(n, np.int32),
+        wind=np.zeros((3, 0), dtype),
         map=np.zeros(n, np.int32),
         staged=np.zeros(n, np.bool_),
         parked=np.zeros(n, np.bool_),
@@ -247,6 +248,12 @@ class Race:
         targets, maps, size = len(self.rules.sequence), self.rules.maps, self.memory.record.shape[1]
         count, record = arrays["memory.count"], arrays["memory.record"]
         written = np.concatenate([record[k, : min(max(count[k], 0), size)] for k in range(targets)])
+    def observe(self, state: Floats) -> Floats:
+        """Return what every drone would see in ``state`` (17, n), all else being as it is: (n, d), in ``output``."""
+        fleet = self.fleet._replace(state=state)
+        observe_all(fleet, self.rules, self.field.arrays, self._scratch, self.output.observation)
+        return self.output.observation
+
         checked = {
             "fleet.target": (arrays["fleet.target"], targets),
             "fleet.first_target": (arrays["fleet.first_target"], targets),

@@ -234,6 +234,15 @@ def step_drone(fleet, rules, field, memory, scratch, out, weights, i):
         fleet.parked[i] = True
 
 
+@inline
+def drift(state, wind, factor, dt):
+    """Add ``factor`` times the wind to the velocities, and what it carries in ``dt`` s to the positions."""
+    for i in range(wind.shape[1]):
+        for axis in range(3):
+            state[axis, i] += dt * wind[axis, i]
+            state[3 + axis, i] += factor * wind[axis, i]
+
+
 @kernel
 def step_all(action, fleet, rules, field, memory, scratch, out, weights):
     """Advance every drone by one control step; ``action`` is (n, 4), ``weights`` (terms,) as of now."""
@@ -241,7 +250,9 @@ def step_all(action, fleet, rules, field, memory, scratch, out, weights):
     for i in range(n):
         command_from_action(action, rules, scratch, i)
         copy_column(fleet.state, scratch.previous, i)
+    drift(fleet.state, rules.wind, -1.0, 0.0)
     advance_all(fleet.state, scratch.command, fleet.plant, rules.airframe, rules.dt, rules.substeps)
+    drift(fleet.state, rules.wind, 1.0, rules.dt)
     for i in range(n):
         if not fleet.parked[i]:
             step_drone(fleet, rules, field, memory, scratch, out, weights, i)
@@ -254,3 +265,10 @@ def reset_all(fleet, rules, field, memory, scratch, out):
         fleet.parked[i] = False
         reset_drone(fleet, rules, field, memory, scratch, i)
         out.clearance[i] = observe_into(fleet, rules, field, scratch, i, out.observation)
+
+
+@kernel
+def observe_all(fleet, rules, field, scratch, out):
+    """Write what every drone sees in its present state to ``out`` (n, d)."""
+    for i in range(fleet.state.shape[1]):
+        observe_into(fleet, rules, field, scratch, i, out)
