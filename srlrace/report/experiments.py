@@ -12,6 +12,8 @@ from srlrace.parse import ConfigError
 from srlrace.suites import check_suite
 
 QUANTITIES = ("time", "crash")
+# What is compared: consecutive rows of each suite; each row with the last; the second suite of a row with the first.
+PAIRS = ("rows", "last_row", "suites")
 
 
 class ExperimentError(Exception):
@@ -48,7 +50,8 @@ class Experiment:
     seeds: int = 5
     episodes: int = 1000
     paper_table: str = ""
-    paired: str = ""  # quantity compared within consecutive pairs of rows, first minus second
+    paired: str = ""  # quantity compared within pairs of cells, first minus second, on the seeds that both have
+    pairs: str = "rows"  # which cells, one of PAIRS
     notes: tuple[str, ...] = ()
     report: bool = True  # False: a sweep that makes no table
 
@@ -127,5 +130,9 @@ def _check(experiment: Experiment, path: Path) -> None:
     for quantity in (*experiment.columns, *filter(None, [experiment.paired])):
         if quantity not in QUANTITIES:
             raise ExperimentError(f"{path}: column {quantity!r} is none of {', '.join(QUANTITIES)}")
-    if experiment.paired and len(experiment.rows) % 2:
+    if experiment.pairs not in PAIRS:
+        raise ExperimentError(f"{path}: pairs: {experiment.pairs!r} is none of {', '.join(PAIRS)}")
+    if experiment.paired and experiment.pairs == "suites" and len(experiment.suites) < 2:
+        raise ExperimentError(f"{path}: paired suites are two, but there is one")
+    if experiment.paired and experiment.pairs == "rows" and len(experiment.rows) % 2:
         raise ExperimentError(f"{path}: paired rows come in pairs, but there are {len(experiment.rows)}")

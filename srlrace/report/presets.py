@@ -7,6 +7,7 @@ here goes to Hydra.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cache
@@ -15,12 +16,14 @@ from typing import Any
 
 import yaml
 
+from srlrace.catalogue import SETTINGS
 from srlrace.confdir import conf_dir
 from srlrace.config import Config, ConfigError, parse_config
 from srlrace.hydra_bridge import compose
 
 GLOBAL = "# @package _global_"
 OVERRIDE = "override /"
+PLAIN = re.compile(r"[\w.+-]*|\[[\w.,+-]*\]", re.ASCII)
 
 
 class _Unknown(Exception):
@@ -40,14 +43,25 @@ def _compose(overrides: Sequence[str]) -> dict[str, Any]:
     data, _ = _load(conf_dir() / "train.yaml")
     defaults = dict(entry.popitem() for entry in data.pop("defaults") if isinstance(entry, dict))
     given = dict(word.split("=", 1) for word in overrides if "=" in word)
-    if len(given) != len(overrides) or not given.keys() <= defaults.keys() | {"seed", "name"}:
+    if len(given) != len(overrides) or not given.keys() <= defaults.keys() | {"seed", "name"} | SETTINGS.keys():
         raise _Unknown
     chosen = _choices(defaults, given)
     for group, option in chosen.items():
         content, everywhere = _preset(group, option)
         content.pop("defaults", None)
         data |= content if everywhere else {group: content}
-    return data | {name: yaml.safe_load(value) for name, value in given.items() if name in ("seed", "name")}
+    for name, value in given.items():
+        if name not in defaults:
+            group, _, setting = name.rpartition(".")
+            (data[group] if group else data)[setting] = _value(value)
+    return data
+
+
+def _value(text: str) -> Any:
+    """Read a value that YAML and Hydra read alike: a number, true, false, a name, or a list of those."""
+    if not PLAIN.fullmatch(text):
+        raise _Unknown
+    return yaml.safe_load(text)
 
 
 def _choices(defaults: dict[str, str], given: dict[str, str]) -> dict[str, str]:

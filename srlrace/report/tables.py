@@ -57,7 +57,7 @@ def _place(runs: Sequence[Run], row: Row, suite: str, compose: Compose) -> Place
 
 
 def _choose(places: Sequence[Place], experiment: Experiment) -> list[Group | None]:
-    """Take each place's best group; paired rows take the same algorithm on both sides where they can."""
+    """Take each place's best group; paired cells take the same algorithm on both sides where they can."""
     chosen = [next(iter(place.candidates), None) for place in places]
     for first, second in _pairs(experiment):
         common = common_group(places[first].candidates, places[second].candidates)
@@ -67,11 +67,15 @@ def _choose(places: Sequence[Place], experiment: Experiment) -> list[Group | Non
 
 
 def _pairs(experiment: Experiment) -> list[tuple[int, int]]:
-    """Return the places that are compared: consecutive rows of each suite."""
+    """Return the places that are compared; those of a suite stand together, in the order of rows."""
     if not experiment.paired:
         return []
-    rows, suites = len(experiment.rows), len(experiment.suites)
-    return [(place, place + 1) for place in range(0, rows * suites, 2)]
+    rows, places = len(experiment.rows), range(len(experiment.rows) * len(experiment.suites))
+    if experiment.pairs == "last_row":
+        return [(place, place - place % rows + rows - 1) for place in places if place % rows < rows - 1]
+    if experiment.pairs == "suites":
+        return [(rows + row, row) for row in range(rows)]
+    return [(place, place + 1) for place in places[::2]]
 
 
 def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Place, group: Group | None) -> Cell:
@@ -123,6 +127,14 @@ def _comparisons(
         evaluations = [(a.runs[seed].evaluations[a.suite], b.runs[seed].evaluations[b.suite]) for seed in seeds]
         result = paired_difference(evaluations, experiment.paired)
         if result:
-            methods = places[first].row.method, places[second].row.method
-            found.append(Comparison(_environment(places[first]), *methods, experiment.paired, *result))
+            words = _compared(experiment, places[first], places[second])
+            found.append(Comparison(*words, experiment.paired, *result))
     return tuple(found)
+
+
+def _compared(experiment: Experiment, first: Place, second: Place) -> tuple[str, str, str]:
+    """Return what two cells have in common, and what each of them is."""
+    if experiment.pairs != "suites":
+        return _environment(first), first.row.method, second.row.method
+    suites = (describe_suite(place.suite) or "training maps" for place in (first, second))
+    return f"{first.row.environment}, {first.row.method}", *suites

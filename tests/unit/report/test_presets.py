@@ -25,10 +25,24 @@ def test_rows_of_choices_do_without_hydra(monkeypatch: pytest.MonkeyPatch) -> No
     assert presets.row_config(("env=split_s", "baseline=song", "seed=3")).reward.name == "progress"
     assert presets.row_config(("env=split_s", "level=none", "name=bare")).level.name == "none"
     assert presets.row_config(("baseline=song", "observation=paper")).observation.name == "paper"
+    assert presets.row_config(("observation=facing", "observation.frame=world")).observation.frame == "world"
+    assert presets.row_config(("level=mixed", "level.maps=10")).level.maps == 10
 
 
-@pytest.mark.parametrize("word", ["reward.safety=-0.1", "algo.gamma=0.9"])
-def test_single_settings_go_to_hydra(word: str, lab: SimpleNamespace) -> None:
+@pytest.mark.parametrize(
+    "word",
+    [
+        "reward.safety=-0.1",
+        "algo.gamma=1",
+        "algo.total_steps=2e5",  # to YAML a word
+        "level.maps=10",
+        "observation.frame=target",  # not in the preset
+        "observation.blocks=[rotation,rays]",
+        "level.spacings=[{pitch: 3.0, jitter: 0.5}]",
+        "name='no'",
+    ],
+)
+def test_single_settings(word: str, lab: SimpleNamespace) -> None:
     assert presets.row_config(("env=forest", word)) == lab.compose(("env=forest", word))
 
 

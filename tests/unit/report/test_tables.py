@@ -147,6 +147,60 @@ def test_paired_rows_take_the_same_budget_and_common_seeds(lab: SimpleNamespace)
     assert len(table.cells[0].runs) == 3
 
 
+BLIND = Row("Forest", "blind", ("env=forest", "observation=blind"))
+
+
+def rated(lab: SimpleNamespace, row: Row, crashes: dict[str, int], seeds: tuple[int, ...] = (0, 1)) -> list[Run]:
+    """Runs of a row that crash in so many of four flights of each suite, one more for every seed."""
+    config = lab.compose(row.overrides)
+    return [
+        lab.run(
+            lab.with_seed(config, seed),
+            *(lab.evaluation([None] * (n + seed) + [5.0] * (4 - n - seed), suite=name) for name, n in crashes.items()),
+        )
+        for seed in seeds
+    ]
+
+
+def test_every_row_can_be_compared_with_the_last(lab: SimpleNamespace) -> None:
+    flown = {SRL: {"level1": 3, "level2": 1}, NO_SAFETY: {"level1": 2, "level2": 2}, BLIND: {"level1": 1, "level2": 3}}
+    runs = [run for row, crashes in flown.items() for run in rated(lab, row, crashes)]
+    settings = {"suites": ("level1", "level2"), "paired": "crash", "pairs": "last_row"}
+    (table,) = report(lab, runs, SRL, NO_SAFETY, BLIND, **settings).tables
+    said = [(each.environment, each.first, each.second, each.difference.value) for each in table.comparisons]
+    first, second = "Forest, unseen level 1", "Forest, unseen level 2"
+    assert said == [
+        (first, "srl", "blind", pytest.approx(50)),
+        (first, "no safety", "blind", pytest.approx(25)),
+        (second, "srl", "blind", pytest.approx(-50)),
+        (second, "no safety", "blind", pytest.approx(-25)),
+    ]
+
+
+def test_the_gap_between_two_suites_is_taken_seed_by_seed(lab: SimpleNamespace) -> None:
+    runs = rated(lab, SRL, {"train_map": 0, "unseen": 2, "level1": 3}) + rated(
+        lab, BLIND, {"train_map": 1, "unseen": 1}
+    )
+    settings = {"suites": ("train_map", "unseen", "level1"), "paired": "crash", "pairs": "suites"}
+    (table,) = report(lab, runs, SRL, BLIND, **settings).tables
+    one, other = table.comparisons
+    assert (one.environment, one.first, one.second) == ("Forest, srl", "unseen maps", "training maps")
+    assert (one.difference.value, one.seeds) == (pytest.approx(50), 2)
+    assert (other.environment, other.difference.value) == ("Forest, blind", pytest.approx(0))
+
+
+def test_disturbed_cells_say_so_and_ask_for_their_suite(lab: SimpleNamespace) -> None:
+    runs = rated(lab, SRL, {"level2": 0, "level2-wind5": 2})
+    (table,) = report(lab, runs, SRL, suites=("level2", "level2-wind5", "level2-mass80")).tables
+    calm, windy, light = table.cells
+    assert calm.environment == "Forest, unseen level 2"
+    assert windy.environment == "Forest, unseen level 2, wind 5 m/s"
+    assert windy.t_ref_s == calm.t_ref_s is not None
+    assert any("undisturbed" in note for note in windy.notes)
+    assert not any("undisturbed" in note for note in calm.notes)
+    assert light.command == f"srlrace eval {' '.join(run.id for run in runs)} --episodes 4 --suite level2-mass80"
+
+
 def test_a_run_that_never_finishes_has_no_time(lab: SimpleNamespace) -> None:
     cell = only_cell(report(lab, [lab.run(lab.compose(SRL.overrides), lab.evaluation([None] * 4))], SRL))
     assert cell.numbers is not None
