@@ -61,6 +61,8 @@ def _check_obstacle(path: str, obstacle: ObstacleConfig) -> None:
 
 
 def _check_level(level: LevelConfig) -> None:
+    if level.fresh_steps and not level.spacings:
+        raise ConfigError(f"level.fresh_steps: got {level.fresh_steps}; level {level.name} draws no maps, takes 0")
     for index, spacing in enumerate(level.spacings):
         if 2 * spacing.jitter >= spacing.pitch:
             raise ConfigError(

@@ -96,6 +96,10 @@ class LevelConfig:
     clear_radius: float = setting(
         "no tree surface closer to a waypoint or the start", unit="m", low=0.0, high=100.0, default=1.0
     )
+    fresh_steps: int = setting(
+        "training replaces one map by a new draw every so many environment steps; 0: never",
+        low=0, high=10**12, default=0,
+    )  # fmt: skip
     safety_margin: float = setting("epsilon of d_safe = r + l + epsilon", unit="m", low=0.0, high=10.0, default=0.1)
     obstacles: tuple[ObstacleConfig, ...] = setting("fixed obstacles, in every map", most=10_000, default=())
 
@@ -232,10 +236,6 @@ class AlgoConfig:
     threads: int = setting("torch threads, pinned", low=1, high=256, default=1)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Config:
-    """One run, completely: the same Config gives the same run."""
-
 @dataclass(frozen=True)
 class DisturbanceConfig:
     """How the world of an evaluation differs from the nominal one, which policy and rate controller believe in."""
@@ -266,6 +266,10 @@ class DisturbanceConfig:
         "steady horizontal wind, from a direction drawn per episode", unit="m/s", low=0.0, high=100.0, default=0.0
     )
 
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """One run, completely: the same Config gives the same run."""
 
     seed: int = setting("seed of everything random in training", low=0, high=2**31 - 1)
     name: str = setting("your own label, replaces the method in the run id", optional=True, default="")

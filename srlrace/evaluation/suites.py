@@ -7,6 +7,7 @@ disturbed or not (common random numbers), and no training draws them.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ from srlrace.suites import NOMINAL, disturbance_of, maps_of
 from srlrace.task.certificate import certified_field, unseen_maps
 from srlrace.task.race import Race, RaceMode
 from srlrace.world.field import ObstacleField
+from srlrace.world.levels import FIRST_UNSEEN_SEED
 
 EVALUATION_SEED = 20_240_401  # first word of every evaluation stream; ours, arbitrary, never a training seed
 UNSEEN_MAPS = 100  # per level
@@ -65,13 +67,18 @@ def make_suite(config: Config, name: str) -> Suite:
     maps = maps_of(name)
     level = preset_level(maps.removeprefix("level")) if maps.startswith("level") else config.level
     flown = dataclasses.replace(config, level=level, randomization=compose(["randomization=init"]).randomization)
-    seeds = _train_seeds(level) if maps == "train_map" else _unseen_seeds(flown, name)
+    seeds = _train_seeds(config) if maps == "train_map" else _unseen_seeds(flown, name)
     field = certified_field(flown, [seed - level.map_seed for seed in seeds])
     return Suite(name, flown, seeds, field, disturbance)
 
 
-def _train_seeds(level: LevelConfig) -> tuple[int, ...]:
-    return tuple(range(level.map_seed, level.map_seed + level.maps))
+def _train_seeds(config: Config) -> tuple[int, ...]:
+    """The seeds of a training's maps; of one with fresh maps, those offered in its last rollout."""
+    level, algo = config.level, config.algo
+    rollout = algo.n_envs * algo.n_steps
+    last = (math.ceil(algo.total_steps / rollout) - 1) * rollout  # steps when it began
+    first = last // level.fresh_steps if level.fresh_steps else 0
+    return tuple(level.map_seed + number % FIRST_UNSEEN_SEED for number in range(first, first + level.maps))
 
 
 def _unseen_seeds(config: Config, suite: str) -> tuple[int, ...]:

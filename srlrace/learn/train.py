@@ -122,6 +122,7 @@ class Training:
             if final or time.monotonic() - self._saved >= SAVE_EVERY:
                 self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)
+        self.env.race.refresh(steps)
 
     def _keep_snapshot(self, steps: int) -> None:
         """Keep the policy of the first boundary after each of `SNAPSHOTS` equal parts of the budget."""

@@ -53,7 +53,9 @@ class Rules(NamedTuple):
     directions: Floats  # (2, rays) unit vectors of the rays, in the axes of the observation
     ray_scale: float  # m
     facing: bool  # the observation's x axis points to the target, not along the world's
-    maps: int
+    maps: int  # that resets draw from
+    first_map: int  # of them; the others follow, from the last slot on to the first
+    slots: int  # places for maps
     start_position: float  # m, half width
     start_velocity: float  # m/s, half width
     start_attitude: float  # rad, half width
@@ -67,9 +69,9 @@ class Rules(NamedTuple):
     memory_starts: float  # share of resets from a remembered passing
     retry_starts: float  # share of resets from the start of an earlier episode that failed
     autoreset: bool
-
-
     wind: Floats  # (3, n) m/s, world; (3, 0) in still air
+
+
 class Fleet(NamedTuple):
     """Changes at every step or reset: together with `Memory` the whole state of a race."""
 

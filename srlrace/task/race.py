@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +15,14 @@ from srlrace.task.arrays import LEDGER, TALLY, Fleet, Floats, Memory, Output, Ru
 from srlrace.task.certificate import certified_field
 from srlrace.task.observation import block_codes, observation_size
 from srlrace.task.random import make_streams
-from srlrace.task.reset import record_size
+from srlrace.task.reset import forget_maps, record_size
 from srlrace.task.reward import TERMS, weights
 from srlrace.task.step import observe_all, reset_all, step_all
 from srlrace.world.field import ObstacleField, ray_directions
+from srlrace.world.rolling import RollingField
 from srlrace.world.track import target_sequence
+
+Field = ObstacleField | RollingField
 
 ACTION_SIZE = 4
 STATE_SIZE = 17
@@ -44,7 +48,18 @@ class RaceMode:
         return RaceMode(seed, episodes, autoreset=False, curriculum=False)
 
 
-def make_rules(config: Config, field: ObstacleField, mode: RaceMode, dtype: DTypeLike) -> Rules:
+def make_field(config: Config, mode: RaceMode) -> Field:
+    """Draw the maps of a race: certified ones, or in training with ``level.fresh_steps`` ever new ones, uncertified."""
+    maps = max(config.level.maps, config.randomization.maps)
+    if not (mode.curriculum and config.level.fresh_steps):
+        return certified_field(config, range(maps))
+    # A map that is no longer offered stays until the longest flight that began on it has ended.
+    longest = round(config.env.horizon / config.sim.control_period) + config.algo.n_steps
+    spare = math.ceil(longest * len(mode.members) / config.level.fresh_steps) + 1
+    return RollingField(config.env, config.level, maps, spare, config.observation.obstacles, config.observation.range)
+
+
+def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -> Rules:
     """Collect the constants of a race."""
     track, level, draw = config.env, config.level, config.randomization
     airframe = Airframe(config.quad)
@@ -75,6 +90,8 @@ def make_rules(config: Config, field: ObstacleField, mode: RaceMode, dtype: DTyp
         ray_scale=config.observation.ray_scale,
         facing=config.observation.frame == "target",
         maps=field.maps,
+        first_map=0,
+        slots=field.slots,
         start_position=draw.position,
         start_velocity=draw.velocity,
         start_attitude=draw.attitude,
@@ -88,6 +105,7 @@ def make_rules(config: Config, field: ObstacleField, mode: RaceMode, dtype: DTyp
         memory_starts=config.curriculum.memory_starts if mode.curriculum else 0.0,
         retry_starts=config.curriculum.retry_starts if mode.curriculum else 0.0,
         autoreset=mode.autoreset,
+        wind=np.zeros((3, 0), dtype),
     )
 
 
@@ -105,7 +123,6 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         target=np.zeros(n, np.int32),
         first_target=np.zeros(n, np.int32),
         steps=np.zeros(n, np.int32),
-        wind=np.zeros((3, 0), dtype),
         map=np.zeros(n, np.int32),
         staged=np.zeros(n, np.bool_),
         parked=np.zeros(n, np.bool_),
@@ -160,12 +177,11 @@ class Race:
         self,
         config: Config,
         mode: RaceMode,
-        field: ObstacleField | None = None,
+        field: Field | None = None,
         dtype: DTypeLike = np.float32,
     ) -> None:
         self.config = config
-        maps = max(config.level.maps, config.randomization.maps)
-        self.field = field or certified_field(config, range(maps))
+        self.field: Field = field or make_field(config, mode)
         self.rules = make_rules(config, self.field, mode, dtype)
         self.n = len(mode.members)
         self.observation_size = observation_size(config.observation)
@@ -200,6 +216,19 @@ class Race:
             gate_starts=curriculum.gate_starts * left, memory_starts=curriculum.memory_starts * left
         )
 
+    def refresh(self, steps: int) -> None:
+        """Offer the maps of a training that has come to so many steps (``level.fresh_steps``), and forget other ones.
+
+        What is offered follows from the steps alone, so that a training resumes exactly. To be called between two
+        rollouts, with steps that grow; without fresh maps nothing changes.
+        """
+        if not isinstance(self.field, RollingField):
+            return
+        first = self.field.offer(steps // self.config.level.fresh_steps)
+        self.rules = self.rules._replace(first_map=first)
+        ahead = (np.arange(self.field.slots) - first) % self.field.slots
+        forget_maps(self.memory, ahead < self.field.maps)
+
     def reset(self) -> Floats:
         """Start a new episode of every drone; return the observations, (n, d)."""
         reset_all(self.fleet, self.rules, self.field.arrays, self.memory, self._scratch, self.output)
@@ -218,6 +247,12 @@ class Race:
             self.current_weights,
         )
         return self.output
+
+    def observe(self, state: Floats) -> Floats:
+        """Return what every drone would see in ``state`` (17, n), all else being as it is: (n, d), in ``output``."""
+        fleet = self.fleet._replace(state=state)
+        observe_all(fleet, self.rules, self.field.arrays, self._scratch, self.output.observation)
+        return self.output.observation
 
     def take_ledger(self) -> dict[str, float]:
         """Return the sums over the episodes that ended since the last call, by name, and empty them."""
@@ -245,15 +280,9 @@ class Race:
 
     def _check_indices(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Refuse indices out of range: kernels do not check them, and a snapshot may come from a stranger."""
-        targets, maps, size = len(self.rules.sequence), self.rules.maps, self.memory.record.shape[1]
+        targets, maps, size = len(self.rules.sequence), self.rules.slots, self.memory.record.shape[1]
         count, record = arrays["memory.count"], arrays["memory.record"]
         written = np.concatenate([record[k, : min(max(count[k], 0), size)] for k in range(targets)])
-    def observe(self, state: Floats) -> Floats:
-        """Return what every drone would see in ``state`` (17, n), all else being as it is: (n, d), in ``output``."""
-        fleet = self.fleet._replace(state=state)
-        observe_all(fleet, self.rules, self.field.arrays, self._scratch, self.output.observation)
-        return self.output.observation
-
         checked = {
             "fleet.target": (arrays["fleet.target"], targets),
             "fleet.first_target": (arrays["fleet.first_target"], targets),

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from srlrace.sim.compile import inline
-from srlrace.task.arrays import EPISODE_RETURN, MIN_CLEARANCE, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED
+from srlrace.task.arrays import EPISODE_RETURN, MIN_CLEARANCE, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED, Memory
 from srlrace.task.random import symmetric, uniform
 from srlrace.world.field import nearest
 
@@ -15,8 +18,15 @@ FAR = 1e6  # m, the clearance of an episode that has not met an obstacle
 
 @inline
 def draw_map(fleet, rules, i):
-    """Draw the obstacle map."""
-    fleet.map[i] = min(int(uniform(fleet.streams, i) * rules.maps), rules.maps - 1)
+    """Draw one of the maps that are offered now."""
+    drawn = min(int(uniform(fleet.streams, i) * rules.maps), rules.maps - 1)
+    fleet.map[i] = (rules.first_map + drawn) % rules.slots
+
+
+@inline
+def is_offered(fleet, rules, i):
+    """Whether new episodes may get the map of drone ``i``: one that is about to go is not worth remembering."""
+    return (fleet.map[i] - rules.first_map + rules.slots) % rules.slots < rules.maps
 
 
 @inline
@@ -152,6 +162,18 @@ def remember(fleet, memory, i):
             at += 1
     row[at] = fleet.steps[i]
     row[at + 1] = fleet.map[i]
+
+
+def forget_maps(memory: Memory, kept: NDArray[np.bool_]) -> None:
+    """Drop the remembered passings on maps that are not ``kept`` (slots,); the others stay in the order of passing."""
+    capacity = memory.record.shape[1]
+    for k, count in enumerate(memory.count.tolist()):
+        size = min(count, capacity)
+        rows = memory.record[k, (count - size + np.arange(size)) % capacity]
+        staying = rows[kept[rows[:, -1].astype(np.int64)]]
+        if len(staying) < size:
+            memory.record[k, : len(staying)] = staying
+            memory.count[k] = len(staying)
 
 
 @inline

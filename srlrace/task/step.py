@@ -32,7 +32,7 @@ from srlrace.task.arrays import (
     TIMEOUT,
 )
 from srlrace.task.observation import observe
-from srlrace.task.reset import FAR, remember, remember_failure, reset_drone
+from srlrace.task.reset import FAR, is_offered, remember, remember_failure, reset_drone
 from srlrace.task.reward import body_rate, progress, reward_terms
 from srlrace.world.field import nearest, pass_waypoint, swept_gap
 
@@ -162,7 +162,7 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
         if fleet.target[i] == rules.sequence.shape[0]:
             out.time[i] = (fleet.steps[i] - 1 + fraction) * rules.dt
             return FINISHED
-        if rules.memory_starts > 0.0:
+        if rules.memory_starts > 0.0 and is_offered(fleet, rules, i):
             remember(fleet, memory, i)
     if fleet.steps[i] >= rules.horizon_steps:
         return TIMEOUT

@@ -38,6 +38,11 @@ class ObstacleField:
         return len(self.map_obstacles)
 
     @property
+    def slots(self) -> int:
+        """Places for maps, as many as there are maps."""
+        return self.maps
+
+    @property
     def arrays(self) -> tuple[NDArray[Any], NDArray[np.int32], NDArray[Any]]:
         """The field as the kernels take it: ``(lattices, grid, geometry)``."""
         return self.lattices, self.grid, self.geometry

@@ -51,6 +51,18 @@ def grid_shape(bounds_low: Sequence[float], bounds_high: Sequence[float], flat: 
     return nx, ny, 1 if flat else nz
 
 
+def grid_cells(bounds_low: Sequence[float], bounds_high: Sequence[float], shape: Indices) -> tuple[Vector, Vector]:
+    """Lower corner of the grid over a world, m, and the edges of a cell, m."""
+    x, y, z = bounds_low
+    low = (x - OUTSIDE, y - OUTSIDE, z - OUTSIDE)
+    return low, (CELL, CELL, bounds_high[2] + OUTSIDE - low[2] if shape[2] == 1 else CELL)
+
+
+def tile_counts(shape: Indices) -> tuple[int, int]:
+    """Tiles along y and x."""
+    return (shape[1] + TILE - 1) // TILE, (shape[0] + TILE - 1) // TILE
+
+
 def is_flat(lattices: NDArray[np.float64]) -> bool:
     """Whether all obstacles are stacks with the same layers, so that height does not change their order."""
     stacked = (lattices[:, LAST] == 0).all() and (lattices[:, LAST + 1] == 0).all()
@@ -254,9 +266,7 @@ def build_grid(
     Returns the flat grid and its geometry. Raises ValueError where the grid outgrows its 32-bit offsets.
     """
     shape = grid_shape(bounds_low, bounds_high, is_flat(lattices))
-    x, y, z = bounds_low
-    low = (x - OUTSIDE, y - OUTSIDE, z - OUTSIDE)
-    size = (CELL, CELL, bounds_high[2] + OUTSIDE - low[2] if shape[2] == 1 else CELL)
+    low, size = grid_cells(bounds_low, bounds_high, shape)
     parts = [
         map_records(lattices, np.arange(a, b, dtype=np.int32), low, size, shape, nearest, float(reach))
         for a, b in pairwise(first)
@@ -265,7 +275,7 @@ def build_grid(
     start = HEADER + n_cells + n_tiles + np.cumsum([0] + [len(part[2]) for part in parts])
     if start[-1] > np.iinfo(np.int32).max:
         raise ValueError(f"{len(parts)} maps of this size do not fit the obstacle grid: use fewer maps")
-    tiles_y, tiles_x = parts[0][1].shape
+    tiles_y, tiles_x = tile_counts(shape)
     header = np.array([*shape, tiles_x, tiles_y, HEADER + n_cells, 0, 0])
     offsets = [(part[k] + s).ravel() for k in (0, 1) for part, s in zip(parts, start[:-1], strict=True)]
     grid = np.concatenate([header, *offsets, *(part[2] for part in parts)]).astype(np.int32)

@@ -269,6 +269,46 @@ def test_unseen_levels(config, tmp_path, monkeypatch):
     assert sorted(set(read_states(recording(run, "level1"))["episode"])) == [0, 1]
 
 
+@pytest.mark.usefixtures("piloted")
+def test_a_disturbed_suite_flies_the_same_episodes_in_another_world(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(suites, "UNSEEN_MAPS", 3)
+    run = make_run(tmp_path, config("level=mixed", "level.maps=2", "env.horizon=1"))
+    calm = evaluate_run(run, 12, "level1")
+    blown = evaluate_run(run, 12, "level1-wind5")
+    assert "disturbance" not in calm
+    assert blown["disturbance"] == {"name": "wind5", "wind": 5.0}
+    assert run.evaluations.keys() == {"level1", "level1-wind5"}
+    starts = [read_states(recording(run, suite)).groupby("episode").first() for suite in ("level1", "level1-wind5")]
+    pd.testing.assert_frame_equal(*starts)
+    assert (table(run, "level1")["map"] == table(run, "level1-wind5")["map"]).all()
+    assert (table(run, "level1")["path_length_m"] - table(run, "level1-wind5")["path_length_m"]).abs().min() > 1e-4
+
+
+def test_a_delay_that_the_run_cannot_have_is_refused(config, tmp_path):
+    run = make_run(tmp_path, config("level=none", "sim.control_period=0.015"))
+    with pytest.raises(RunError, match="20 ms is no multiple of the control period, 15 ms"):
+        evaluate_run(run, 3, "train_map-delay20")
+
+
+def test_unseen_maps_of_the_runs_own_level(config, monkeypatch):
+    monkeypatch.setattr(suites, "UNSEEN_MAPS", 6)
+    settings = config("level=mixed", "level.maps=3", "level.map_seed=5")
+    suite = make_suite(settings, "unseen")
+    assert suite.config.level == settings.level
+    assert min(suite.map_seeds) >= 1_000_005
+    trees = sorted(len(suite.field.obstacles(m)) for m in range(6))
+    assert trees[1] < 100 < trees[2] < 150 < trees[4]  # two of each density
+    assert None not in certify(suite.config, suite.field.map_obstacles)
+
+
+def test_the_training_maps_of_a_run_with_fresh_ones_are_its_last(config):
+    settings = config("level=endless", "level.maps=4", "level.fresh_steps=1000", "algo.total_steps=50001",
+                      "algo.n_envs=10", "algo.n_steps=100", "algo.batch_size=100")  # fmt: skip
+    suite = make_suite(settings, "train_map")
+    assert suite.map_seeds == (50, 51, 52, 53)  # the last rollout begins after 50 000 steps
+    assert suite.field.maps == 4
+
+
 def test_the_train_map_suite_flies_the_maps_of_the_training(config):
     mixed = make_suite(config("level=mixed", "level.maps=3", "level.map_seed=5"), "train_map")
     assert mixed.map_seeds == (5, 6, 7)
@@ -293,7 +333,9 @@ def test_what_is_recorded(config, tmp_path):
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"suite": "level9"}, "suite: got 'level9', takes one of train_map, level1, level2, level3"),
+        ({"suite": "level9"}, "suite: got 'level9', takes one of train_map, unseen, level1, level2, level3"),
+        ({"suite": "level1-storm"}, "did you mean level1"),
+        ({"suite": "unseen"}, "suite unseen: level none draws no maps"),
         ({"record": "some"}, "record: got 'some', takes all, none or a number"),
         ({"record": "-1"}, "record: got '-1'"),
         ({"episodes": 0}, "episodes: got 0, takes a whole number of at least 1"),
