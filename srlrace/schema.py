@@ -145,6 +145,7 @@ class ObservationConfig:
     ray_focus: float = setting(
         "rays are denser ahead: an angle of pi u becomes pi u^this; 1 is evenly spaced", low=1.0, high=4.0, default=1.0
     )
+    ray_walls: bool = setting("rays end at the world's walls, too", default=False)
     frame: str = setting(
         "horizontal axes of what is seen: the world's, or x towards the next waypoint",
         choices=("world", "target"),

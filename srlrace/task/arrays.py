@@ -52,6 +52,7 @@ class Rules(NamedTuple):
     rays: int
     directions: Floats  # (2, rays) unit vectors of the rays, in the axes of the observation
     ray_scale: float  # m
+    ray_walls: bool  # rays end at the world's walls, too
     facing: bool  # the observation's x axis points to the target, not along the world's
     maps: int  # that resets draw from
     first_map: int  # of them; the others follow, from the last slot on to the first

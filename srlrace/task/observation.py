@@ -138,11 +138,26 @@ def write_vectors(fleet, field, i, distance, index, out, at):
 
 
 @inline
+def wall_distance(position, direction, low, high):
+    """Distance along a ray, of which ``direction`` is one coordinate, to where that coordinate leaves the world."""
+    if direction > 0.0:
+        gap, speed = high - position, direction
+    else:
+        gap, speed = position - low, -direction
+    return max(gap, 0.0) / max(speed, 1e-6)
+
+
+@inline
 def write_rays(fleet, rules, field, i, cos, sin, out, at):
     """Write exp(-d / ray_scale) of horizontal rays to obstacles inflated by the drone and its margin."""
     rays = out[at : at + rules.rays]
     x, y, z = fleet.state[0, i], fleet.state[1, i], fleet.state[2, i]
     cast_rays(x, y, z, fleet.map[i], *field, rules.keep_out, rules.reach, cos, sin, rules.directions, rays)
+    if rules.ray_walls:
+        for k in range(rules.rays):
+            ahead, left = rules.directions[0, k], rules.directions[1, k]
+            rays[k] = min(rays[k], wall_distance(x, cos * ahead - sin * left, rules.bounds[0], rules.bounds[3]))
+            rays[k] = min(rays[k], wall_distance(y, sin * ahead + cos * left, rules.bounds[1], rules.bounds[4]))
     for k in range(rules.rays):
         rays[k] = math.exp(-rays[k] / rules.ray_scale)
 

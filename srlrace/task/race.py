@@ -88,6 +88,7 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         rays=config.observation.rays,
         directions=ray_directions(config.observation.rays, dtype, config.observation.ray_focus),
         ray_scale=config.observation.ray_scale,
+        ray_walls=config.observation.ray_walls,
         facing=config.observation.frame == "target",
         maps=field.maps,
         first_map=0,

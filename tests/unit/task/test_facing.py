@@ -121,3 +121,21 @@ def test_focus_draws_rays_to_the_front(rays):
     assert gaps.min() == pytest.approx(np.pi * (2 / rays) ** 2)  # beside the one straight ahead
     assert gaps.max() > 3 * gaps.min()
     np.testing.assert_array_equal(even, np.array([np.cos(2 * np.pi * k / rays), np.sin(2 * np.pi * k / rays)]))
+
+
+def test_rays_end_at_the_walls_where_asked(config, flown, place_drones, hover):
+    """In an empty world, 2 m from its eastern wall and 3 m from its northern one, facing along x."""
+    settings = turned_settings(config, "observation=facing", 0.0)
+    empty = dataclasses.replace(settings.level, obstacles=())
+    track = dataclasses.replace(settings.env, waypoints=((HALF - 0.5, HALF - 3.0, 2.0),))
+    seen_rays = {}
+    for walls in (True, False):
+        sight = dataclasses.replace(settings.observation, ray_walls=walls)
+        race = flown(dataclasses.replace(settings, env=track, level=empty, observation=sight), 1)
+        place_drones(race, (HALF - 2.0, HALF - 3.0, 2.0), target=0)
+        seen_rays[walls] = -np.log(race.step(hover(1)).observation[0, 21:69]) * sight.ray_scale
+    np.testing.assert_allclose(seen_rays[False], REACH, rtol=1e-5)
+    cos, sin = ray_directions(48, np.float64, 2.0)
+    with np.errstate(divide="ignore"):
+        expected = np.minimum(np.where(cos > 1e-9, 2.0 / cos, REACH), np.where(sin > 1e-9, 3.0 / sin, REACH))
+    np.testing.assert_allclose(seen_rays[True], np.minimum(expected, REACH), atol=5e-3)
