@@ -9,7 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -40,11 +40,7 @@ def hold(path: Path, name: str) -> Iterator[None]:
         who = {"pid": os.getpid(), "host": socket.gethostname(), "since": now()}
         with naming(path):
             os.ftruncate(descriptor, os.pwrite(descriptor, json.dumps(who).encode(), 0))
-        try:
-            yield
-        finally:
-            with suppress(OSError):  # else the next holder would pass for this one until it has written its own name
-                os.ftruncate(descriptor, 0)
+        yield
     finally:
         os.close(descriptor)
 
