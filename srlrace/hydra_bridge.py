@@ -25,7 +25,7 @@ from srlrace.console import say
 from srlrace.locks import WAIT
 from srlrace.overrides import Request, check_arguments
 from srlrace.runs import RunFolder, State, runs_root
-from srlrace.signals import handling, pass_on
+from srlrace.signals import handling, pass_on, preempted
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -168,7 +168,7 @@ def run_job(data: DictConfig) -> None:
 
     config = parse_config(_plain(data))
     status = train_run(config, Path(os.environ[RUNS]), json.loads(os.environ[ARGV]))
-    if status == 128 + signal.SIGUSR2:
+    if status == 128 + signal.SIGUSR2 or (status > 128 and preempted()):
         pass_on(signal.SIGUSR2)  # submitit's handler starts the job anew, elsewhere or later
     alone = HydraConfig.get().mode is not RunMode.MULTIRUN
     if status and (alone or status > 128):  # one failed run of several does not stop the others; a signal does

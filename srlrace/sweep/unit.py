@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 from typing import Any
 
 from srlrace.console import setup_logging
-from srlrace.signals import pass_on
+from srlrace.signals import pass_on, preempted
 from srlrace.sweep.crew import LEAVE, Crew
 from srlrace.sweep.pace import Pace
 from srlrace.sweep.plan import Job, Plan
@@ -28,7 +29,8 @@ class Unit:
         setup_logging()
         status = Crew(self.plan, [self.job], 1, Pace({}, 0), LEAVE).work()
         if status > 128:
-            pass_on(status - 128)  # everything is saved: now the scheduler's own handler may requeue the job
+            # Everything is saved: now the scheduler's own handler may requeue the job.
+            pass_on(signal.SIGUSR2 if preempted() else status - 128)
         if status:
             raise JobFailed(f"{self.job.folder.id}: status {status}")
         return self.job.folder.id
