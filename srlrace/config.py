@@ -10,13 +10,15 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from srlrace.checks import check
-from srlrace.files import FileError, read_json
+from srlrace.files import FileError, parse_json, read_limited
 from srlrace.parse import ConfigError, parse, parse_value
 from srlrace.schema import (
     AlgoConfig,
@@ -54,11 +56,15 @@ __all__ = [
     "method_name",
     "parse_config",
     "run_id",
+    "stored_config",
     "to_dict",
 ]
 
 TRACK_CHARACTERS = 20  # of a run id: with the seed and the hash, an id stays within the 64 of a name
 METHOD_CHARACTERS = 22
+PRESETS = 2048  # configurations that are kept, seeds not counted; a large study has a thousand
+SEED = next(field for field in dataclasses.fields(Config) if field.name == "seed")
+SEED_LINE = re.compile(rb'^ "seed": (\d{1,20}),\n', re.MULTILINE)  # as `train` writes it; no string has line breaks
 
 
 def parse_config(data: Mapping[str, Any]) -> Config:
@@ -71,25 +77,38 @@ def parse_config(data: Mapping[str, Any]) -> Config:
 def load_config(path: Path) -> Config:
     """Read a stored ``config.json``; raises `ConfigError` naming the file."""
     try:
-        return _parse_stored(read_json(path))
+        content = read_limited(path)
+    except FileError as error:
+        raise ConfigError(str(error)) from None
+    return stored_config(content, path)
+
+
+def stored_config(content: bytes, path: Path) -> Config:
+    """The configuration that was read from ``path``; raises `ConfigError` naming it."""
+    try:
+        return _parse_stored(content, path)
     except FileError as error:
         raise ConfigError(str(error)) from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _parse_stored(data: dict[str, Any]) -> Config:
-    """The same as `parse_config`, but what differs only in the seed, as the runs of a sweep do, is checked once."""
-    if "seed" not in data:
-        return parse_config(data)
-    seed = {field.name: field for field in dataclasses.fields(Config)}["seed"]
-    value = parse_value(int, seed.metadata, data["seed"], "seed")
-    return dataclasses.replace(_parse_text(json.dumps({**data, "seed": 0})), seed=value)
+def _parse_stored(content: bytes, path: Path) -> Config:
+    """The same as `parse_config`, but what differs only in the seed, as the runs of a sweep do, is parsed once."""
+    parts = SEED_LINE.split(content)
+    if len(parts) == 3:
+        with suppress(FileError, ConfigError):  # said below, with the file's name
+            seed = parse_value(int, SEED.metadata, int(parts[1]), "seed")
+            return dataclasses.replace(_parse_seedless(parts[0] + parts[2]), seed=seed)
+    return parse_config(parse_json(content, path))
 
 
-@lru_cache(maxsize=64)  # a study has dozens of presets
-def _parse_text(text: str) -> Config:
-    return parse_config(json.loads(text))
+@lru_cache(maxsize=PRESETS)
+def _parse_seedless(content: bytes) -> Config:
+    data = parse_json(content, Path())
+    if "seed" in data:
+        raise ConfigError("seed: given twice")
+    return parse_config({**data, "seed": 0})
 
 
 def to_dict(config: Any) -> dict[str, Any]:

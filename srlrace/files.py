@@ -87,7 +87,10 @@ def open_plain(path: Path) -> IO[bytes]:
 def read_limited(path: Path, limit: int = JSON_LIMIT) -> bytes:
     """Read a plain file of at most ``limit`` bytes; links, pipes and devices are refused with `FileError`."""
     with open_plain(path) as stream:
-        data = stream.read(limit + 1)
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(min(size, limit) + 1)  # a buffer of the limit's size would cost more than the reading
+        if size < len(data) <= limit:  # it has grown meanwhile
+            data += stream.read(limit + 1 - len(data))
     if len(data) > limit:
         raise FileError(f"cannot read {path}: larger than {limit} bytes")
     return data
@@ -107,11 +110,14 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """Read a JSON object; NaN, infinities, bottomless nesting, other values and broken seals are refused."""
+    return parse_json(read_limited(path, limit), path)
+
+
+def parse_json(content: bytes, path: Path) -> dict[str, Any]:
+    """The JSON object that was read from ``path``, as `read_json` returns it; raises `FileError` as that does."""
     try:
-        data = json.loads(read_limited(path, limit).decode(), parse_constant=_refuse_constant)
+        data = json.loads(content.decode(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, FileError):
-            raise
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error).splitlines()[0]
         raise FileError(f"cannot read {path}: not valid JSON ({reason})") from None
     if not isinstance(data, dict):

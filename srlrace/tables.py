@@ -38,7 +38,7 @@ def text(value: object, style: str = "") -> Text:
 
 def runs_text(runs: Sequence[RunFolder]) -> str:
     """What `runs_table` shows, as plain lines: laying out ten thousand rows takes longer than reading the runs."""
-    rows = [[cell.plain.replace("\n", ", ") for cell in _row(run)] for run in runs]
+    rows = [[cell.replace("\n", ", ") for cell in _row(run)] for run in runs]
     widths = [max(len(row[column]) for row in rows) for column in range(3)] + [0]
     return "\n".join("  ".join(map(str.ljust, row, widths)) for row in rows)
 
@@ -49,31 +49,31 @@ def runs_table(runs: Sequence[RunFolder]) -> Table:
     for column in table.columns[:3]:
         column.no_wrap = True  # an id is there to be copied
     for run in runs:
-        table.add_row(*_row(run))
+        name, state, trained, result = _row(run)
+        table.add_row(Text(name), Text(state, STYLES.get(State(state), "")), Text(trained), Text(result))
     return table
 
 
-def _row(run: RunFolder) -> tuple[Text, Text, Text, Text]:
+def _row(run: RunFolder) -> tuple[str, str, str, str]:
     state = run.state
-    results = "\n".join(clean(brief(suite, summary))[:200] for suite, summary in run.evaluations.items())
+    results = "\n".join(clean(brief(suite, summary))[:200] for suite, summary in run.results.items())
     total = run.config.algo.total_steps if run.config else None
     done = state is State.FINISHED and results and total
     progress = {"steps": float(total or 0)} if done else run.progress
-    result = Text(results) if results else _training(progress)
-    return text(run.id), Text(state, STYLES.get(state, "")), _steps(total, progress), result
+    return clean(run.id), str(state), _steps(total, progress), results or _training(progress)
 
 
-def _steps(total: int | None, progress: dict[str, float]) -> Text:
+def _steps(total: int | None, progress: dict[str, float]) -> str:
     steps = progress.get("steps")
     if steps is None or not total:
-        return Text("-" if total else "config.json is not valid")
-    return Text(f"{steps / 1e6:.4g} M, {min(100, 100 * steps / total):.0f} %")
+        return "-" if total else "config.json is not valid"
+    return f"{steps / 1e6:.4g} M, {min(100, 100 * steps / total):.0f} %"
 
 
-def _training(progress: dict[str, float]) -> Text:
+def _training(progress: dict[str, float]) -> str:
     if "success_ratio" not in progress or "crash_ratio" not in progress:
-        return Text("-")
-    return Text(f"training: {100 * progress['success_ratio']:.0f} %, crash {100 * progress['crash_ratio']:.0f} %")
+        return "-"
+    return f"training: {100 * progress['success_ratio']:.0f} %, crash {100 * progress['crash_ratio']:.0f} %"
 
 
 def brief(suite: str, summary: dict[str, Any]) -> str:

@@ -7,7 +7,10 @@ import unicodedata
 
 def clean(text: object) -> str:
     """Text without control and direction characters: a stored name cannot move the cursor or hide letters."""
-    return "".join(c if unicodedata.category(c)[0] != "C" else "\ufffd" for c in str(text))
+    plain = str(text)
+    if plain.isprintable():
+        return plain
+    return "".join(c if unicodedata.category(c)[0] != "C" else "\ufffd" for c in plain)
 
 
 def duration(seconds: float) -> str:

@@ -52,7 +52,7 @@ def look(run: RunFolder) -> Seen:
 
 
 def _result(run: RunFolder, progress: dict[str, float]) -> str:
-    results = [brief(suite, summary) for suite, summary in run.evaluations.items()]
+    results = [brief(suite, summary) for suite, summary in run.results.items()]
     if results or "success_ratio" not in progress:
         return "; ".join(results)
     time_s = f", {progress['time_s']:.2f} s" if progress.get("time_s") else ""

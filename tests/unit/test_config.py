@@ -204,3 +204,22 @@ def test_stored_configuration_is_not_read_through_links(tmp_path, config):
     (tmp_path / "config.json").symlink_to(target)
     with pytest.raises(ConfigError, match="cannot read"):
         load_config(tmp_path / "config.json")
+
+
+def test_stored_configurations_that_differ_in_the_seed(tmp_path, config):
+    """They are parsed once, and every seed is its own; whatever is wrong with one is said of that one."""
+    path, text = tmp_path / "config.json", json.dumps(to_dict(config), indent=1)
+    line = ' "seed": 0,'
+    assert text.count(line) == 1
+    for seed in (0, 7, 2**31 - 1):
+        path.write_text(text.replace(line, f' "seed": {seed},'))
+        assert load_config(path) == dataclasses.replace(config, seed=seed) == parse_config(json.loads(path.read_text()))
+    path.write_text(text.replace(line, ' "seed": 1,').replace("\n", "").replace("  ", ""))  # another layout
+    assert load_config(path) == dataclasses.replace(config, seed=1)
+    for seed in (2**31, "1.5", '"1"', "null", "-1"):
+        path.write_text(text.replace(line, f' "seed": {seed},'))
+        with pytest.raises(ConfigError, match=f"{path}: seed: got"):
+            load_config(path)
+    path.write_text(text.replace(line, f'{line}\n "sead": 1,'))
+    with pytest.raises(ConfigError, match=f"{path}: sead: no such setting"):
+        load_config(path)

@@ -1,5 +1,6 @@
 """Run folders: state follows from files and a lock that dies with its holder; hostile folders do no harm."""
 
+import hashlib
 import json
 import multiprocessing
 import os
@@ -11,7 +12,7 @@ import time
 import pytest
 
 from srlrace.config import to_dict
-from srlrace.files import FileError, atomic_write, read_json, read_limited
+from srlrace.files import FileError, atomic_write, read_json, read_limited, write_sealed
 from srlrace.hydra_bridge import compose
 from srlrace.runs import RunError, RunFolder, State, find, latest_finished, list_runs, provenance, runs_root
 from srlrace.tables import runs_table, runs_text
@@ -230,3 +231,31 @@ def test_a_long_list_says_what_a_short_one_does(tmp_path):
     assert [line.split("  ")[0].strip() for line in lines] == cells[0]
     for line, row in zip(lines, zip(*cells, strict=True), strict=True):
         assert [word.strip() for word in line.split("  ") if word.strip()] == list(row)
+
+
+def evaluated(root, table=b"episode\n0\n", summary_of=None):
+    """A run with an evaluation, its summary sealed over ``summary_of`` and written last."""
+    run = make(root, "a", "policy.safetensors")
+    (run.path / "eval" / "train_map").mkdir(parents=True)
+    run.file("eval", "train_map", "episodes.csv").write_bytes(table)
+    digest = hashlib.sha256(table if summary_of is None else summary_of).hexdigest()
+    write_sealed(run.file("eval", "train_map", "summary.json"), {"episodes": 1, "episodes_sha256": digest})
+    return run
+
+
+def test_a_list_reads_no_table_that_is_older_than_its_summary(tmp_path, monkeypatch):
+    run = evaluated(tmp_path)
+    assert run.results == run.evaluations != {}
+    monkeypatch.setattr(RunFolder, "episodes", None)
+    assert list(run.results) == ["train_map"]
+
+
+def test_a_list_leaves_out_the_summary_of_another_table(tmp_path):
+    """An evaluation that was repeated and killed before its summary: the new table is younger than the old summary."""
+    run = evaluated(tmp_path, summary_of=b"another")
+    assert run.evaluations == {}
+    table, summary = (run.file("eval", "train_map", name) for name in ("episodes.csv", "summary.json"))
+    os.utime(table, ns=(0, summary.stat().st_mtime_ns + 1))
+    assert run.results == {}
+    table.unlink()
+    assert run.results == {}
