@@ -47,6 +47,16 @@ def hierarchical_interval(runs: Sequence[ClusteredRatio], centre: Centre = mean)
     return _percentiles(centre(_pick_seeds(_replicates(runs))))
 
 
+def single_intervals(runs: Sequence[ClusteredRatio]) -> list[Interval]:
+    """Return what `hierarchical_interval` says of each run alone; runs that flew the same are resampled at once."""
+    intervals: dict[int, Interval] = {}
+    for flown in dict.fromkeys(run.flown for run in runs):
+        same = [i for i, run in enumerate(runs) if run.flown == flown]
+        replicates = _replicates([runs[i] for i in same])
+        intervals |= {i: _percentiles(values) for i, values in zip(same, replicates.T, strict=True)}
+    return [intervals[i] for i in range(len(runs))]
+
+
 def paired_interval(pairs: Sequence[tuple[ClusteredRatio, ClusteredRatio]]) -> Interval:
     """Return the percentile interval of the mean difference, first minus second, over common seeds."""
     first = _replicates([a for a, _ in pairs])

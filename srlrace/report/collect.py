@@ -107,13 +107,17 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
         raise ValueError(f"flown under another disturbance; repeat: srlrace eval {folder.id} --suite {suite}")
     timed = "lap_time_s" if config.env.laps else "time_s"
     columns = {"episode", "map", "outcome", "gates_passed", "min_clearance_m", "time_s", timed}
-    table = pd.read_csv(BytesIO(folder.episodes(suite)), usecols=sorted(columns))
+    summary = folder.summary(suite)
+    # Outcomes as plain objects: the library's own type of text is slower than all the rest of the file.
+    content = BytesIO(folder.episodes(suite, summary))
+    table = pd.read_csv(content, usecols=sorted(columns), dtype={"outcome": object})
     if table.empty:
         raise ValueError("no episode")
-    unknown = set(table["outcome"]) - set(OUTCOMES)
+    unknown = set(table["outcome"].tolist()) - set(OUTCOMES)
     if unknown:
         raise ValueError(f"unknown outcome {min(map(str, unknown))[:40]!r}")
-    finished = (table["outcome"] == "finished").to_numpy()
+    outcome = table["outcome"].to_numpy(dtype=np.str_)
+    finished = outcome == "finished"
     time_s = pd.to_numeric(table[timed]).to_numpy(dtype=np.float64)
     if not (np.isfinite(time_s[finished]) & (time_s[finished] > 0)).all():
         raise ValueError(f"a finished episode without {timed}")
@@ -125,10 +129,10 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
         episode=table["episode"].to_numpy(dtype=np.int64),
         map_seed=table["map"].to_numpy(dtype=np.int64),
         finished=finished,
-        crashed=table["outcome"].isin(CRASHES).to_numpy(),
+        crashed=np.isin(outcome, CRASHES),
         time_s=np.where(finished, time_s, np.nan),
         total_time_s=np.where(finished, pd.to_numeric(table["time_s"]).to_numpy(dtype=np.float64), np.nan),
-        outcome=table["outcome"].to_numpy(dtype=np.str_),
+        outcome=outcome,
         gates_passed=_counts(table["gates_passed"]),
         min_clearance_m=pd.to_numeric(table["min_clearance_m"]).to_numpy(dtype=np.float64),
     )

@@ -6,11 +6,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from srlrace.report.bootstrap import Array, ClusteredRatio, hierarchical_interval, mean, paired_interval
+from srlrace.report.bootstrap import (
+    Array,
+    ClusteredRatio,
+    hierarchical_interval,
+    mean,
+    paired_interval,
+    single_intervals,
+)
 from srlrace.report.collect import Evaluation
 from srlrace.report.model import Estimate, Numbers
 from srlrace.report.stats import Interval, clopper_pearson, iqm, wilson
 
+BATCH = 256  # evaluations that are resampled at once
 IQM_SEEDS = 4  # with fewer values the interquartile mean is the mean
 
 Quantity = Callable[[Evaluation], ClusteredRatio | None]
@@ -35,11 +43,30 @@ def penalised_time(evaluation: Evaluation) -> float:
 
 def cell_numbers(evaluations: Sequence[tuple[int, Evaluation]]) -> Numbers:
     """Return the numbers of a cell from (training seed, evaluation) pairs, at least one, one per seed."""
+    times = [time for _, evaluation in evaluations if (time := flight_time(evaluation)) is not None]
+    return _numbers(evaluations, times, _estimate(times, mean) if times else None)
+
+
+def single_numbers(evaluations: Sequence[tuple[int, Evaluation]]) -> list[Numbers]:
+    """Return what `cell_numbers` says of each pair alone, in a thirtieth of the time where there are thousands."""
+    numbers = []
+    for start in range(0, len(evaluations), BATCH):
+        batch = evaluations[start : start + BATCH]
+        times = [flight_time(evaluation) for _, evaluation in batch]
+        known = [time for time in times if time is not None]
+        estimates = iter([_scaled(*each, 1.0) for each in zip(_values(known), single_intervals(known), strict=True)])
+        for pair, time in zip(batch, times, strict=True):
+            numbers.append(_numbers([pair], [time], next(estimates)) if time else _numbers([pair], [], None))
+    return numbers
+
+
+def _numbers(
+    evaluations: Sequence[tuple[int, Evaluation]], times: Sequence[ClusteredRatio], time_s: Estimate | None
+) -> Numbers:
     flown = [evaluation for _, evaluation in evaluations]
-    times = [time for time in map(flight_time, flown) if time is not None]
     crashes = [crash_ratio(evaluation) for evaluation in flown]
     return Numbers(
-        time_s=_estimate(times, mean) if times else None,
+        time_s=time_s,
         time_iqm_s=_estimate(times, iqm) if len(times) >= IQM_SEEDS else None,
         crash_pct=_crash_estimate(crashes, mean),
         crash_iqm_pct=_crash_estimate(crashes, iqm) if len(crashes) >= IQM_SEEDS else None,
@@ -64,8 +91,12 @@ def paired_difference(pairs: Sequence[tuple[Evaluation, Evaluation]], quantity: 
 
 
 def _estimate(ratios: Sequence[ClusteredRatio], centre: Callable[[Array], Array], scale: float = 1.0) -> Estimate:
-    value = float(centre(np.array([ratio.value for ratio in ratios])))
+    value = float(centre(np.array(_values(ratios))))
     return _scaled(value, hierarchical_interval(ratios, centre), scale)
+
+
+def _values(ratios: Sequence[ClusteredRatio]) -> list[float]:
+    return [ratio.value for ratio in ratios]
 
 
 def _crash_estimate(ratios: Sequence[ClusteredRatio], centre: Callable[[Array], Array]) -> Estimate:

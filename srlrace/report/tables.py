@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from srlrace.config import method_name
@@ -11,13 +12,14 @@ from srlrace.report.experiments import Experiment, Paper, Row
 from srlrace.report.groups import Group, common_group, groups
 from srlrace.report.model import Cell, Comparison, OtherRun, Report, Table
 from srlrace.report.notes import cell_notes, table_notes
-from srlrace.report.numbers import cell_numbers, paired_difference
+from srlrace.report.numbers import cell_numbers, paired_difference, single_numbers
 from srlrace.report.reference import cell_reference, reference_notes
 from srlrace.runs import State
 from srlrace.schema import Config
 from srlrace.suites import describe_suite
 
 Compose = Callable[[tuple[str, ...]], Config]
+Alike = Mapping[tuple[object, ...], list[Run]]  # by preset: a comparison of every run with every row takes too long
 
 
 class Place(NamedTuple):
@@ -33,27 +35,30 @@ def build_report(
     runs: Sequence[Run], experiments: Sequence[Experiment], paper: Paper, compose: Compose, problems: Sequence[str] = ()
 ) -> Report:
     """Fill every table from the runs; ``compose`` turns a row's overrides into its configuration."""
-    tables = tuple(_table(runs, experiment, paper, compose) for experiment in experiments if experiment.report)
+    alike: Alike = defaultdict(list)
+    for run in runs:
+        alike[run.preset].append(run)
+    tables = tuple(_table(alike, experiment, paper, compose) for experiment in experiments if experiment.report)
     used = {(run, cell.suite) for table in tables for cell in table.cells for run in cell.runs}
-    others = tuple(
-        OtherRun(run.id, method_name(run.config), suite, cell_numbers([(run.config.seed, evaluation)]))
-        for run in runs
-        for suite, evaluation in run.evaluations.items()
-        if (run.id, suite) not in used
+    left = [(run, suite) for run in runs for suite in run.evaluations if (run.id, suite) not in used]
+    numbers = single_numbers([(run.config.seed, run.evaluations[suite]) for run, suite in left])
+    others = (
+        OtherRun(run.id, method_name(run.config), suite, each) for (run, suite), each in zip(left, numbers, strict=True)
     )
-    return Report(tables, others, tuple(problems))
+    return Report(tables, tuple(others), tuple(problems))
 
 
-def _table(runs: Sequence[Run], experiment: Experiment, paper: Paper, compose: Compose) -> Table:
-    places = [_place(runs, row, suite, compose) for suite in experiment.suites for row in experiment.rows]
+def _table(alike: Alike, experiment: Experiment, paper: Paper, compose: Compose) -> Table:
+    places = [_place(alike, row, suite, compose) for suite in experiment.suites for row in experiment.rows]
     chosen = _choose(places, experiment)
-    cells = tuple(_cell(runs, experiment, paper, place, group) for place, group in zip(places, chosen, strict=True))
+    cells = tuple(_cell(alike, experiment, paper, place, group) for place, group in zip(places, chosen, strict=True))
     return Table(experiment, cells, _comparisons(experiment, places, chosen), table_notes(experiment, paper, chosen))
 
 
-def _place(runs: Sequence[Run], row: Row, suite: str, compose: Compose) -> Place:
+def _place(alike: Alike, row: Row, suite: str, compose: Compose) -> Place:
     config = compose(row.overrides)
-    return Place(row, suite, config, groups(runs, preset(config), suite))
+    wanted = preset(config)
+    return Place(row, suite, config, groups(alike.get(wanted, []), wanted, suite))
 
 
 def _choose(places: Sequence[Place], experiment: Experiment) -> list[Group | None]:
@@ -78,13 +83,13 @@ def _pairs(experiment: Experiment) -> list[tuple[int, int]]:
     return [(place, place + 1) for place in places[::2]]
 
 
-def _cell(runs: Sequence[Run], experiment: Experiment, paper: Paper, place: Place, group: Group | None) -> Cell:
+def _cell(alike: Alike, experiment: Experiment, paper: Paper, place: Place, group: Group | None) -> Cell:
     return Cell(
         environment=_environment(place),
         method=place.row.method,
         suite=place.suite,
         paper=paper.cell(experiment, place.row, place.suite),
-        command=_command(runs, experiment, place, group),
+        command=_command(alike, experiment, place, group),
         numbers=cell_numbers(group.evaluations) if group else None,
         t_ref_s=cell_reference(place.config, place.suite),
         runs=tuple(group.runs[seed].id for seed in sorted(group.runs)) if group else (),
@@ -100,14 +105,10 @@ def _environment(place: Place) -> str:
     return ", ".join(filter(None, (place.row.environment, describe_suite(place.suite))))
 
 
-def _command(runs: Sequence[Run], experiment: Experiment, place: Place, group: Group | None) -> str:
+def _command(alike: Alike, experiment: Experiment, place: Place, group: Group | None) -> str:
     """Return what fills the cell: an evaluation if finished runs wait for one, else the sweep, at its runs' budget."""
-    wanted = preset(place.config)
-    waiting = [
-        run.id
-        for run in runs
-        if run.state is State.FINISHED and place.suite not in run.evaluations and run.preset == wanted
-    ]
+    trained = (run for run in alike.get(preset(place.config), []) if run.state is State.FINISHED)
+    waiting = [run.id for run in trained if place.suite not in run.evaluations]
     if waiting and not place.candidates:
         return f"srlrace eval {' '.join(waiting)} --episodes {experiment.episodes} --suite {place.suite}"
     steps = group.algo.total_steps if group else place.config.algo.total_steps

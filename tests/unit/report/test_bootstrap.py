@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from srlrace.report.bootstrap import ClusteredRatio, hierarchical_interval, mean, paired_interval
+from srlrace.report.bootstrap import ClusteredRatio, hierarchical_interval, mean, paired_interval, single_intervals
 from srlrace.report.stats import iqm
 
 
@@ -33,6 +33,15 @@ def test_one_seed_gives_the_interval_of_its_mean() -> None:
 def test_a_ratio_weighs_clusters_by_their_denominator() -> None:
     run = ClusteredRatio(np.array([30.0, 0.0]), np.array([3.0, 1.0]), (0,))
     assert run.value == pytest.approx(7.5)
+
+
+def test_runs_that_are_resampled_at_once_are_told_apart() -> None:
+    values = np.random.default_rng(5).normal(5.0, 1.0, size=(6, 40))
+    runs = ratios(values[:3]) + ratios(values[3:5], flown=1) + ratios(values[5:, :20], flown=2)
+    alone = [hierarchical_interval([run]) for run in runs]
+    assert np.allclose(single_intervals(runs), alone, rtol=1e-12)
+    assert len({interval.low for interval in alone}) == 6
+    assert single_intervals([]) == []
 
 
 def test_replicates_without_a_denominator_fall_back_to_the_value() -> None:
