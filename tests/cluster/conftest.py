@@ -18,6 +18,7 @@ SlurmdUser=root
 AuthType=auth/munge
 # Requeued jobs are held for as long as credentials live.
 AuthInfo=socket={place}/munge/socket,cred_expire=5
+CommunicationParameters=NoInAddrAny,NoCtldInAddrAny
 SlurmctldPort={ports[0]}
 SlurmdPort={ports[1]}
 StateSaveLocation={place}/state
@@ -38,7 +39,12 @@ ReturnToService=2
 KillWait=20
 MailProg=/bin/true
 NodeName={host} NodeAddr=127.0.0.1 CPUs={cores} RealMemory=6000 State=UNKNOWN
+# Jobs of the last partition take the place of those of the others: at once, or after a time of grace.
+PreemptType=preempt/partition_prio
+PreemptMode=REQUEUE
 PartitionName=debug Nodes={host} Default=YES MaxTime=60 State=UP
+PartitionName=graced Nodes={host} MaxTime=60 State=UP GraceTime=120
+PartitionName=urgent Nodes={host} MaxTime=60 State=UP PriorityTier=2 PreemptMode=OFF
 """
 
 
@@ -85,7 +91,8 @@ def ray_cluster() -> Iterator[Engine]:
     port = free_port()
     # Ray's workers are polite to everything else by default, which on a busy machine means that they stand still.
     engine = Engine({"RAY_ADDRESS": f"127.0.0.1:{port}", "RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"})
-    common = ("--num-cpus=1", "--block", "--disable-usage-stats", "--object-store-memory=80000000")
+    common = ("--num-cpus=1", "--block", "--disable-usage-stats", "--object-store-memory=80000000",
+              "--node-ip-address=127.0.0.1")  # fmt: skip
     engine.start("ray", "start", "--head", f"--port={port}", "--include-dashboard=false", *common)
     await_(lambda: "1.0 CPU" in engine.run("ray", "status", check=False), 120)
     engine.start("ray", "start", f"--address=127.0.0.1:{port}", *common)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+import pytest
 from clusters import STEPS, Engine, assert_same, at_work, attempts, await_, console_lines
 
 SWEEP = ("sweep", "smoke", "--steps", str(STEPS), "--launcher", "slurm", "--memory", "1")
@@ -46,6 +48,50 @@ def test_killed_stopped_and_out_of_time(slurm: Engine, reference: Path, tmp_path
     assert (attempts(killed), attempts(requeued), attempts(cancelled)) == (2, 2, 2)
     assert (requeued / "policy.safetensors").stat().st_mtime_ns == done
     assert "nothing is missing" in slurm.srlrace(*sweep)
+    assert not list((runs / ".leases").iterdir())
+
+
+@pytest.mark.parametrize("partition", ["debug", "graced"])
+def test_preempted(slurm: Engine, reference: Path, tmp_path: Path, partition: str) -> None:
+    """Killed at once in favour of a job that is more urgent, or told so and given time."""
+    runs = tmp_path / "runs"
+    sweep = (*SWEEP, "--seeds", "1", "--partition", partition, "--runs", str(runs))
+    slurm.srlrace(*sweep)
+    await_(lambda: at_work(runs, 0))
+    slurm.run("sbatch", "--partition=urgent", f"--cpus-per-task={os.cpu_count()}", "--output=/dev/null", "--wrap=true")
+    [run] = runs.glob("*-s0-*")
+    await_(lambda: attempts(run) == 2)  # nobody had to repeat anything
+    await_(lambda: not queue(slurm))
+    assert_same(runs, reference, 1)
+    assert attempts(run) == 2
+    assert "nothing is missing" in slurm.srlrace(*sweep)
+
+
+def test_out_of_time(slurm: Engine, tmp_path: Path) -> None:
+    """Slurm itself sends the signal, and the job puts itself into the queue again."""
+    runs, undisturbed = tmp_path / "runs", tmp_path / "undisturbed"
+    sweep = ("sweep", "smoke", "--steps", str(2 * STEPS), "--seeds", "1", "--runs")  # Slurm looks every 30 s
+    slurm.srlrace(*sweep, str(runs), "--launcher", "slurm", "--memory", "1")
+    [job] = queue(slurm)
+    await_(lambda: at_work(runs, 0))
+    slurm.run("scontrol", "update", f"JobId={job}", "TimeLimit=1")
+    await_(lambda: "PENDING" in slurm.run("squeue", "--noheader", "--format=%T"))
+    slurm.run("scontrol", "update", f"JobId={job}", "TimeLimit=30")
+    await_(lambda: not queue(slurm))
+    slurm.srlrace(*sweep, str(undisturbed))
+    assert_same(runs, undisturbed, 1)
+    [run] = runs.glob("*-s0-*")
+    assert attempts(run) == 2
+
+
+def test_a_sweep_here_beside_one_in_slurm(slurm: Engine, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    sweep = ("sweep", "smoke", "--seeds", "4", "--steps", "100000", "--runs", str(runs))
+    slurm.srlrace(*sweep, "--launcher", "slurm", "--memory", "1")
+    slurm.srlrace(*sweep)
+    await_(lambda: not queue(slurm))
+    folders = [path.parents[2] for path in runs.glob("*/eval/train_map/summary.json")]
+    assert [attempts(run) for run in folders] == [1, 1, 1, 1]
     assert not list((runs / ".leases").iterdir())
 
 

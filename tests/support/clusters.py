@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import socket
 import subprocess
@@ -18,7 +19,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-STEPS = 600_000  # of a training that lasts long enough to be interrupted
+STEPS = 1_500_000  # of a training that lasts long enough to be interrupted
 
 
 @dataclass
@@ -113,7 +114,7 @@ def console_lines(page: str, heading: str) -> list[str]:
     """The commands of the first console block below a heading of the docs."""
     text = (ROOT / "docs" / page).read_text().partition(f"## {heading}\n")[2]
     block = text.partition("```console\n")[2].partition("```")[0]
-    return [line.removeprefix("$ ").partition("  #")[0].strip() for line in block.splitlines()]
+    return [shlex.join(shlex.split(line.removeprefix("$ "), comments=True)) for line in block.splitlines()]
 
 
 def processes(*words: str) -> list[int]:
