@@ -127,10 +127,6 @@ class RunFolder:
             return False
         return table.st_mtime_ns <= summary.st_mtime_ns
 
-    def summary(self, suite: str) -> dict[str, Any]:
-        """What ``summary.json`` of a suite holds; empty when it is missing or broken."""
-        return self._json("eval", suite, "summary.json")
-
     def _belong(self, suite: str, summary: dict[str, Any]) -> bool:
         try:
             return TABLE_DIGEST not in summary or bool(self.episodes(suite, summary))

@@ -137,5 +137,5 @@ def _compared(experiment: Experiment, first: Place, second: Place) -> tuple[str,
     """Return what two cells have in common, and what each of them is."""
     if experiment.pairs != "suites":
         return _environment(first), first.row.method, second.row.method
-    suites = (describe_suite(place.suite) or "training maps" for place in (first, second))
-    return f"{first.row.environment}, {first.row.method}", *suites
+    a, b = (describe_suite(place.suite) or "training maps" for place in (first, second))
+    return f"{first.row.environment}, {first.row.method}", a, b
