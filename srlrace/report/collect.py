@@ -107,7 +107,6 @@ def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation
         raise ValueError(f"flown under another disturbance; repeat: srlrace eval {folder.id} --suite {suite}")
     timed = "lap_time_s" if config.env.laps else "time_s"
     columns = {"episode", "map", "outcome", "gates_passed", "min_clearance_m", "time_s", timed}
-    summary = folder.summary(suite)
     # Outcomes as plain objects: the library's own type of text is slower than all the rest of the file.
     content = BytesIO(folder.episodes(suite, summary))
     table = pd.read_csv(content, usecols=sorted(columns), dtype={"outcome": object})
