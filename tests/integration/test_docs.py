@@ -20,7 +20,7 @@ from srlrace.overrides import check_arguments
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-COMMANDED = ("README.md", "docs/start.md", "docs/extend.md", "docs/runs.md", "docs/tracks.md")
+COMMANDED = ("README.md", "docs/start.md", "docs/extend.md", "docs/runs.md", "docs/tracks.md", "docs/clutter.md")
 PROGRAMS = ("docs/start.md", "docs/extend.md", "docs/physics.md", "docs/recordings.md")
 TINY = ["level=none", "algo.total_steps=100", "algo.n_envs=10", "algo.n_steps=10", "algo.batch_size=50"]
 

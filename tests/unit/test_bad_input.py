@@ -79,7 +79,7 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
         "env: got 'Forest'; takes one of forest, split_s, split_s_cpc, or the path of a track.yaml; did",
     ),
     ("env=forst", "did you mean forest?"),
-    ("level=4", "level: got '4'; takes one of 1, 2, 3, mixed, none, split_s"),
+    ("level=4", "level: got '4'; takes one of 1, 2, 3, endless, mixed, none, split_s"),
     ("reward=srl_tund", "did you mean srl_tuned?"),
     ("observation=ray", "did you mean rays?"),
     ("baseline=sogn", "did you mean song?"),
