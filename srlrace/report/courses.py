@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 FLIGHTS = 20  # trajectories in one figure: more hide each other
 FLOWN_AGAIN = 5  # of them where they have to be flown first
+FLOWN_MAPS = 100  # of a run that is flown again: packing and certifying more, or fresh ones, takes minutes
 SAME_TIME = 0.02  # s, a control period: batches of another size round differently, and no more than that may follow
 
 logger = logging.getLogger(__name__)
@@ -55,13 +56,15 @@ class Course:
 def find_course(run: Run, suite: str, fly: bool = False) -> Course | None:
     """Return flights of an evaluation, or None, with a warning where something is damaged.
 
-    With ``fly``, what was not recorded on the training map is flown again: this takes torch and seconds.
+    With ``fly``, what was not recorded on the training maps is flown again, if they are few: this takes torch and
+    seconds.
     """
     try:
         recording = RunFolder(run.path).file("eval", suite, "trajectories.mcap")
         if recording.is_file():
             return read_course(recording, run.config)
-        return fly_course(run) if fly and suite == "train_map" else None
+        quick = run.config.level.maps <= FLOWN_MAPS and not run.config.level.fresh_steps
+        return fly_course(run) if fly and suite == "train_map" and quick else None
     except (CorruptRecording, RunError, OSError, ValueError) as error:
         logger.warning("no trajectories of %s, %s: %s", run.id, suite, error)
         return None

@@ -14,6 +14,7 @@ import pytest
 from srlrace.config import run_id
 from srlrace.files import atomic_write
 from srlrace.recording import Flight, RecordingWriter, SceneObstacle
+from srlrace.report import courses
 from srlrace.report.command import read_report
 from srlrace.report.courses import Trajectory, agreeing, read_course
 from srlrace.report.drawing import keep_out
@@ -167,3 +168,21 @@ def test_figures_are_written_and_what_is_damaged_is_left_out(
     assert not any(run in name for name in names)  # it stands in a table
     assert all(path.stat().st_size > 5000 for path in written)
     assert f"no trajectories of {other.name}" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("words", "flies"),
+    [
+        (("level=2",), True),
+        (("level=mixed",), True),
+        (("level=mixed", "level.maps=1000"), False),
+        (("level=endless",), False),
+    ],
+)
+def test_runs_on_maps_that_would_take_minutes_are_not_flown_again(
+    lab: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], flies: bool
+) -> None:
+    flown: list[object] = []
+    monkeypatch.setattr(courses, "fly_course", flown.append)
+    assert courses.find_course(lab.run(lab.compose(words)), "train_map", fly=True) is None
+    assert bool(flown) == flies
