@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +20,9 @@ from srlrace.suites import definition, disturbance_of, suite_names
 
 GATES_LIMIT = 1_001_000  # a thousand laps of a thousand waypoints, the most that a track may have, and the first again
 CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts
+MANY = 1000  # folders that are read by several processes: starting those takes as long as reading a hundred
+READERS = 8  # processes: beyond that the disk is what is waited for
+CHUNK = 32  # folders handed to a process at a time
 OUTCOMES = ("finished", "timeout", *CRASHES)
 
 
@@ -67,16 +73,26 @@ def preset(config: Config) -> tuple[object, ...]:
 
 def collect(root: Path) -> tuple[tuple[Run, ...], tuple[str, ...]]:
     """Return the runs below ``root`` and, for every file that could not be used, a line saying why."""
-    runs, problems = [], []
-    for folder in list_runs(root):
-        try:
-            run = Run(folder.id, folder.path, folder.load_config(), folder.state)
-        except RunError as error:
-            problems.append(str(error))
-            continue
-        problems += _read_suites(folder, run)
-        runs.append(run)
-    return tuple(runs), tuple(problems)
+    read = _read_all(list_runs(root))
+    return tuple(run for run, _ in read if run), tuple(line for _, problems in read for line in problems)
+
+
+def _read_all(folders: list[RunFolder]) -> list[tuple[Run | None, list[str]]]:
+    cores = os.cpu_count() or 1
+    if len(folders) < MANY or cores == 1:
+        return list(map(_read, folders))
+    # Ctrl-C is for the one who waits: it stops handing out folders, and the processes end.
+    workers = min(cores, READERS)
+    with ProcessPoolExecutor(workers, None, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as readers:
+        return list(readers.map(_read, folders, chunksize=CHUNK))
+
+
+def _read(folder: RunFolder) -> tuple[Run | None, list[str]]:
+    try:
+        run = Run(folder.id, folder.path, folder.load_config(), folder.state)
+    except RunError as error:
+        return None, [str(error)]
+    return run, _read_suites(folder, run)
 
 
 def _read_suites(folder: RunFolder, run: Run) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,9 +13,11 @@ import pytest
 from rich.console import Console
 
 from srlrace.config import run_id
+from srlrace.report import collect
 from srlrace.report.command import FORMATS, read_report, report
 from srlrace.report.csv_tables import COLUMNS
 from srlrace.report.experiments import ExperimentError
+from srlrace.runs import list_runs
 
 COUNTED = b"episode,map,outcome,time_s,gates_passed,min_clearance_m\n"
 TABLES = ("minimum_time", "generalization", "ablation_safety", "ablation_terminal")
@@ -115,6 +118,25 @@ def test_a_damaged_evaluation_is_reported_and_the_rest_is_shown(
     (problem,) = built.problems
     assert any(part in problem for part in message.split("|"))
     assert any(cell.runs == (run_id(config),) for cell in built.tables[0].cells)
+
+
+def test_many_runs_are_read_as_few_are(lab: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs, srl = tmp_path, lab.compose(("env=forest",))
+    for seed in range(5):
+        lab.write_run(runs, lab.with_seed(srl, seed), {"train_map": [5.0 + seed, None]})
+    (runs / "broken").mkdir()
+    (runs / "broken" / "config.json").write_text("{")
+    read = list(map(_facts, collect._read_all(list_runs(runs))))
+    monkeypatch.setattr(collect, "MANY", 2)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert list(map(_facts, collect._read_all(list_runs(runs)))) == read
+    assert sum(found is None for found, _ in read) == 1
+
+
+def _facts(read: tuple[collect.Run | None, list[str]]) -> tuple[object, list[str]]:
+    run, problems = read
+    flown = {suite: evaluation.time_s.tobytes() for suite, evaluation in run.evaluations.items()} if run else {}
+    return run and (run.id, run.config, run.state, flown), problems
 
 
 def test_a_link_out_of_the_run_is_not_followed(lab: SimpleNamespace, tmp_path: Path) -> None:
