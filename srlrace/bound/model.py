@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +21,9 @@ REGULARISER = 1e-6
 # RK4 steps of the rigid body in an interval. One is up to 0.2 mm off where intervals last 40 ms, and over a lap that
 # adds up to more than a centimetre.
 STEPS = 2
+COMPILER = "cc"
+JIT = {"jit": True, "compiler": "shell", "jit_temp_suffix": True, "jit_cleanup": False}  # the folder goes as a whole
+WORTH_IT = 6  # waypoints of a problem, from which on compiling saves more time than it takes
 
 
 @dataclass(frozen=True)
@@ -49,8 +56,30 @@ def point_mass(problem: Problem) -> Model:
     return Model(_rk4(x, u, slope, 1), np.zeros(6), np.full(6, np.inf), -free, free, problem.max_collective)
 
 
-def rigid_body(problem: Problem) -> Model:
-    """The paper's Eq. 1 and 2, rotor thrusts as controls; attitude built from q/|q|, lest |q| > 1 gives free thrust."""
+@contextmanager
+def quick_body(problem: Problem) -> Iterator[Model]:
+    """The rigid body, compiled if that pays and there is a C compiler: derivatives are what most of the time goes into.
+
+    Compiling takes 3 s of CPU, once for all programs of the model; each iteration is then five times faster.
+    """
+    if len(problem.waypoints) < WORTH_IT or shutil.which(COMPILER) is None:
+        yield rigid_body(problem)
+        return
+    directions = ca.GlobalOptions.getMaxNumDir()
+    ca.GlobalOptions.setMaxNumDir(1)  # derivatives one direction at a time: the same short code, called more often
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            settings = {"compiler": COMPILER, "flags": ["-O1"], "directory": f"{folder}/", "cleanup": False}
+            yield rigid_body(problem, {**JIT, "jit_options": settings})
+    finally:
+        ca.GlobalOptions.setMaxNumDir(directions)
+
+
+def rigid_body(problem: Problem, options: dict[str, Any] | None = None) -> Model:
+    """The paper's Eq. 1 and 2, rotor thrusts as controls; attitude built from q/|q|, lest |q| > 1 gives free thrust.
+
+    ``options`` are CasADi's of the step's function.
+    """
     quad = problem.quad
     x, u = ca.SX.sym("x", 13), ca.SX.sym("u", 4)
     inertia, rate, q = ca.DM(quad.inertia), x[10:13], x[6:10]
@@ -65,10 +94,11 @@ def rigid_body(problem: Problem) -> Model:
     )
     rest = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
     limit = np.concatenate([np.full(10, np.inf), quad.body_rate_max])
-    return Model(_rk4(x, u, slope, STEPS), rest, limit, np.zeros(4), np.full(4, quad.thrust_max), None)
+    step = _rk4(x, u, slope, STEPS, options)
+    return Model(step, rest, limit, np.zeros(4), np.full(4, quad.thrust_max), None)
 
 
-def _rk4(x: Any, u: Any, slope: Any, steps: int) -> Any:
+def _rk4(x: Any, u: Any, slope: Any, steps: int, options: dict[str, Any] | None = None) -> Any:
     f, h = ca.Function("slope", [x, u], [slope]), ca.SX.sym("h")
     end, part = x, h / steps
     for _ in range(steps):
@@ -77,7 +107,7 @@ def _rk4(x: Any, u: Any, slope: Any, steps: int) -> Any:
         k3 = f(end + part / 2 * k2, u)
         k4 = f(end + part * k3, u)
         end = end + part / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("step", [x, u, h], [end])
+    return ca.Function("step", [x, u, h], [end], options or {})
 
 
 def _rotation(q: Any) -> Any:

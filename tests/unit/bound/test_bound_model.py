@@ -1,10 +1,12 @@
 """The model, written twice: as symbols for the solver and in numpy for its judge; and the geometry between nodes."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from srlrace.bound.clearance import SHARES, core_distance, points, smallest_gap
-from srlrace.bound.model import STEPS, point_mass, rigid_body
+from srlrace.bound.model import COMPILER, STEPS, point_mass, quick_body, rigid_body
 from srlrace.bound.problem import problem_of
 from srlrace.bound.trajectory import NODES, Trajectory, between_nodes, lift, rotations
 from srlrace.hydra_bridge import compose
@@ -33,6 +35,22 @@ def test_a_quaternion_of_any_length_gives_no_more_thrust():
     step = rigid_body(problem).step
     one, two = (step([0] * 6 + [norm, 0, 0, 0] + [0] * 3, [5.0] * 4, 0.01).full().ravel() for norm in (1, 2))
     assert two[:6] == pytest.approx(one[:6])
+
+
+@pytest.mark.skipif(shutil.which(COMPILER) is None, reason="no C compiler")
+def test_the_compiled_model_is_the_interpreted_one():
+    problem = problem_of(compose(["env=forest", "level=none"]))
+    flight, slow = random_flight(problem), rigid_body(problem).step
+    with quick_body(problem) as body:
+        for x, u in zip(flight.state[:3], flight.thrust, strict=False):
+            assert body.step(x, u, 0.02).full() == pytest.approx(slow(x, u, 0.02).full(), rel=1e-12)
+
+
+def test_without_a_compiler_the_model_is_interpreted(monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    problem = problem_of(compose(["env=forest", "level=none"]))
+    with quick_body(problem) as body:
+        assert body.step([0] * 6 + [1] + [0] * 6, [0] * 4, 0.1).full()[5, 0] < -0.9
 
 
 def test_rotations_are_scipys():
