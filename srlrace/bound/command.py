@@ -12,7 +12,7 @@ from rich.table import Table
 from srlrace.bound.problem import Problem, problem_of
 from srlrace.bound.record import write_recording
 from srlrace.bound.store import cache_folder, load, save
-from srlrace.bound.trajectory import Array, Reference
+from srlrace.bound.trajectory import Array, Reference, Trajectory
 from srlrace.config import Config, ConfigError
 from srlrace.world.flyable import clear_path
 
@@ -49,15 +49,15 @@ def solve(config: Config, problem: Problem, restarts: int) -> Reference:
         free = find_reference(free_problem, 1)
         save(free_problem, free)
     logger.info("without obstacles: %.3f s", free.time)
-    return find_reference(problem, restarts, _paths(config, problem, free.trajectory.state[:, :3]), free.trajectory)
+    return find_reference(problem, restarts, clear_paths(config, problem, free.trajectory), free)
 
 
-def _paths(config: Config, problem: Problem, guide: Array) -> list[list[Array]]:
-    """First guesses through the obstacles: on a course, the clear path nearest to the flight without them."""
+def clear_paths(config: Config, problem: Problem, free: Trajectory) -> list[list[Array]]:
+    """Ways through the obstacles of a course: the clear path nearest to the flight without them, and the roomiest."""
     if problem.lap:
         return []
-    path = clear_path(config.env, problem.obstacles, problem.keep_out, guide)
-    return [path] if path else []
+    found = (clear_path(config.env, problem.obstacles, problem.keep_out, near) for near in (free.state[:, :3], None))
+    return [path for path in found if path]
 
 
 def _table(config: Config, problem: Problem, reference: Reference) -> Table:

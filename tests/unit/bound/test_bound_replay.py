@@ -12,7 +12,15 @@ from srlrace.hydra_bridge import compose
 
 
 @pytest.mark.parametrize(
-    "words", [["env=forest", "level=none"], ["env=forest", "level=2"], ["env=split_s", "level=none"], ["env=split_s"]]
+    "words",
+    [
+        ["env=forest", "level=none"],
+        ["env=forest", "level=1"],
+        ["env=forest", "level=2"],
+        ["env=forest", "level=3"],
+        ["env=split_s", "level=none"],
+        ["env=split_s"],
+    ],
 )
 def test_the_simulator_flies_the_reference(words):
     config = compose(words)
