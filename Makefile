@@ -6,6 +6,7 @@
 # make cluster          sweeps on a Slurm of this machine and on a Ray of two nodes, with failures (Debian, as root)
 # make cluster-scaling  what a sweep costs besides the runs: 1 and 2 workers, 10 000 run folders
 # make bound   all tests of the time-optimal solver, published races included
+# make unseen-references T_ref of the unseen maps, MAPS of each level (100), on from what is solved
 # make thrust-figure     the optimum against thrust-to-weight: table, and docs/images/thrust_to_weight.png
 # make certificates      fly a certificate of every map of the presets: srlrace/task/certificates.json
 # make reference         publish the finished runs: runs/* to runs/reference/*, without checkpoints and recordings
@@ -22,7 +23,7 @@ STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum |
 NODE_MODULES := tests/readers/node_modules
 AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench bound thrust-figure certificates pictures reference readers browser-tools replay-pictures report-pictures vendor cluster cluster-scaling soak clean
+.PHONY: demo test lint bench bound unseen-references thrust-figure certificates pictures reference readers browser-tools replay-pictures report-pictures vendor cluster cluster-scaling soak clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -34,6 +35,11 @@ test: $(STAMP) readers browser-tools
 
 bound: $(STAMP)
 	SRLRACE_BOUND=1 $(BIN)/python -m pytest tests/unit/bound -v --durations=10
+
+MAPS ?= 100
+
+unseen-references: $(STAMP)
+	$(BIN)/python -m srlrace.bound.unseen $(MAPS)
 
 thrust-figure: $(STAMP)
 	$(BIN)/python -m srlrace.bound.thrust docs/images/thrust_to_weight.png

@@ -5,12 +5,14 @@ Reading takes numpy only, so a report shows its gaps without the solver. Nothing
 
 from __future__ import annotations
 
+import hashlib
 import io
-import math
+import json
 import os
 import zipfile
 import zlib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +20,13 @@ import numpy as np
 from srlrace.bound.accept import Rejected, accept
 from srlrace.bound.problem import Problem
 from srlrace.bound.trajectory import NODES, Reference, Trajectory
+from srlrace.config import to_dict
 from srlrace.files import FileError, atomic_write, read_json, read_limited
+from srlrace.schema import LevelConfig
 
 SHIPPED = Path(__file__).parent / "data"
-SAMPLES = "unseen.json"  # keys of the solved unseen maps, by the key of the track without obstacles and by suite
+UNSEEN = SHIPPED / "unseen"  # solutions of unseen maps; single precision is enough for the acceptance tests
+TIMES = SHIPPED / "unseen.json"  # their times by `sample_key` and map seed, s, so that a report need not read them all
 LIMIT = 4 * 2**20  # bytes of a file: a thousand waypoints
 
 
@@ -48,25 +53,35 @@ def reference_time(problem: Problem) -> float | None:
     return reference.time if reference else None
 
 
-def mean_unseen_time(free: Problem, suite: str) -> float | None:
-    """Return the mean T_ref over the solved sample of a suite's unseen maps, s; None where there is no sample.
+def sample_key(free: Problem, level: LevelConfig) -> str:
+    """Name of the maps of a level on a track, by content; ``free`` is the problem without obstacles."""
+    settings = {key: value for key, value in to_dict(level).items() if key not in ("name", "maps", "map_seed")}
+    text = json.dumps([free.key, settings], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    ``free`` is the problem without obstacles; samples ship for the presets only.
+
+def unseen_times(free: Problem, level: LevelConfig) -> dict[int, float | None]:
+    """Return T_ref, s, of the maps of a level that ship solved, by map seed; None where no solution was found.
+
+    A sample in the order of evaluation: of the presets the first maps, of anything else none.
     """
-    sample = read_json(SHIPPED / SAMPLES).get(free.key, {}).get(suite, [])
-    times = [_read(SHIPPED / f"{key}.npz").time for key in sample]
-    return math.fsum(times) / len(times) if times else None
+    return {int(seed): time for seed, time in _samples(TIMES).get(sample_key(free, level), {}).items()}
 
 
-def save(problem: Problem, reference: Reference, folder: Path | None = None) -> Path:
-    """Keep a reference for later commands; returns its file."""
+@cache
+def _samples(path: Path) -> dict[str, dict[str, float | None]]:
+    return dict(read_json(path))
+
+
+def save(problem: Problem, reference: Reference, folder: Path | None = None, width: type = np.float64) -> Path:
+    """Keep a reference for later commands, its states in floats of a ``width``; returns its file."""
     folder = folder or cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     best, content = reference.trajectory, io.BytesIO()
     np.savez_compressed(
         content,
-        state=best.state,
-        thrust=best.thrust,
+        state=best.state.astype(width),
+        thrust=best.thrust.astype(width),
         step=best.step,
         times=reference.times,
         point_mass_time=reference.point_mass_time,
@@ -78,9 +93,9 @@ def save(problem: Problem, reference: Reference, folder: Path | None = None) -> 
 
 def _places(problem: Problem) -> Iterator[Path]:
     try:
-        folders = [SHIPPED, cache_folder()]
+        folders = [SHIPPED, UNSEEN, cache_folder()]
     except RuntimeError:  # no home folder
-        folders = [SHIPPED]
+        folders = [SHIPPED, UNSEEN]
     return (path for path in (folder / f"{problem.key}.npz" for folder in folders) if path.is_file())
 
 

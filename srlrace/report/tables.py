@@ -13,7 +13,7 @@ from srlrace.report.groups import Group, common_group, groups
 from srlrace.report.model import Cell, Comparison, OtherRun, Report, Table
 from srlrace.report.notes import cell_notes, table_notes
 from srlrace.report.numbers import cell_numbers, paired_difference, single_numbers
-from srlrace.report.reference import cell_reference, reference_notes
+from srlrace.report.reference import compare
 from srlrace.runs import State
 from srlrace.schema import Config
 from srlrace.suites import describe_suite
@@ -84,6 +84,7 @@ def _pairs(experiment: Experiment) -> list[tuple[int, int]]:
 
 
 def _cell(alike: Alike, experiment: Experiment, paper: Paper, place: Place, group: Group | None) -> Cell:
+    reference = compare(place.config, place.suite, [flown for _, flown in group.evaluations] if group else ())
     return Cell(
         environment=_environment(place),
         method=place.row.method,
@@ -91,14 +92,11 @@ def _cell(alike: Alike, experiment: Experiment, paper: Paper, place: Place, grou
         paper=paper.cell(experiment, place.row, place.suite),
         command=_command(alike, experiment, place, group),
         numbers=cell_numbers(group.evaluations) if group else None,
-        t_ref_s=cell_reference(place.config, place.suite),
+        t_ref_s=reference.t_ref_s,
+        compared_s=reference.flown_s,
         runs=tuple(group.runs[seed].id for seed in sorted(group.runs)) if group else (),
-        notes=_notes(experiment, place, group) if group else (),
+        notes=(*cell_notes(experiment, place.candidates, group), *reference.notes) if group else (),
     )
-
-
-def _notes(experiment: Experiment, place: Place, group: Group) -> tuple[str, ...]:
-    return (*cell_notes(experiment, place.candidates, group), *reference_notes(place.config, place.suite))
 
 
 def _environment(place: Place) -> str:

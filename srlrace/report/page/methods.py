@@ -33,7 +33,8 @@ of the cases with three seeds, and in 85 to 91 % with five.
 REFERENCE = """
 T_ref, where it is shown, is the best time that trajectory optimisation found for the same airframe, track and
 obstacles in a slightly relaxed model (no rotor lag, no hold of 20 ms). It is a best known value and no proof of
-optimality. The gap is how much slower the mean time is.
+optimality. The gap is how much slower the mean time is; on unseen maps each flight is held against T_ref of its
+own map. References begin at rest at the nominal start, flights up to a metre and 1 m/s away from it.
 """
 BEARING = """
 The paper says that every test has 1000 flights; its crash ratios fit only multiples of {n}. With {n} flights, 0 %
