@@ -55,7 +55,8 @@ def reference_time(problem: Problem) -> float | None:
 
 def sample_key(free: Problem, level: LevelConfig) -> str:
     """Name of the maps of a level on a track, by content; ``free`` is the problem without obstacles."""
-    settings = {key: value for key, value in to_dict(level).items() if key not in ("name", "maps", "map_seed")}
+    which = ("name", "maps", "map_seed", "fresh_steps")  # of the maps are drawn; the rest says what each is like
+    settings = {key: value for key, value in to_dict(level).items() if key not in which}
     text = json.dumps([free.key, settings], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -173,7 +173,7 @@ from srlrace.hydra_bridge import compose
 from srlrace.report.reference import compare
 for words, suite in (("level=none", "train_map"), ("level=mixed", "train_map"), ("level=mixed", "level2")):
     found = compare(compose(["env=forest", words]), suite, ())
-    print(found.t_ref_s, found.note, sep="|")
+    print(found.t_ref_s, *found.notes, sep="|")
 """
     done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
     *cells, free, many, unseen = done.stdout.splitlines()

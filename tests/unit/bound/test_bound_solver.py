@@ -95,7 +95,7 @@ def test_an_obstacle_is_flown_around_and_costs_time(short, grown):
     config = short(obstacles=f"[{tree}, {{kind: box, center: [5, 1.4, 2], edge: 0.8}}]")
     problem = problem_of(config)
     free = find_reference(problem_of(short()), 1)
-    reference = find_reference(problem, 1, free=free.trajectory if grown else None)
+    reference = find_reference(problem, 1, free=free if grown else None)
     fine = between_nodes(problem, reference.trajectory, 40)[:, :, :3].reshape(-1, 3)
     assert problem.keep_out <= smallest_gap(problem, fine) < problem.keep_out + 0.05
     assert reference.time > free.time + 0.01

@@ -24,7 +24,7 @@ def test_each_flight_is_held_against_its_own_map(lab, mixed, monkeypatch):
     assert found.t_ref_s == pytest.approx(((4.0 + 5.0 + 4.0) / 3 + 5.0) / 2)
     assert found.flown_s == pytest.approx(((4.4 + 5.5 + 4.6) / 3 + 6.0) / 2)
     assert found.flown_s == pytest.approx(cell_numbers([(0, first), (1, second)]).time_s.value)
-    assert "not solved" not in found.note
+    assert not any("not solved" in note for note in found.notes)
 
 
 def test_flights_on_maps_without_a_solution_are_left_out_and_counted(lab, mixed, monkeypatch):
@@ -32,7 +32,7 @@ def test_flights_on_maps_without_a_solution_are_left_out_and_counted(lab, mixed,
     flown = lab.evaluation([4.4, 9.0, 9.0], "level3", [11, 12, 13])
     found = reference.compare(mixed, "level3", [flown])
     assert (found.t_ref_s, found.flown_s) == (4.0, 4.4)
-    assert "2 of the 3 maps are not solved" in found.note
+    assert "2 of the 3 maps are not solved" in found.notes[0]
 
 
 def test_the_gap_of_a_cell_is_that_of_the_flights_compared(lab, monkeypatch):
@@ -52,7 +52,7 @@ def test_where_no_map_is_solved_the_open_track_stands_in(lab, mixed, monkeypatch
     found = reference.compare(mixed, "level1", [lab.evaluation([5.0], "level1", [11])])
     assert 4.5 < found.t_ref_s < 4.6
     assert found.flown_s is None
-    assert found.note == reference.OPEN
+    assert found.notes == (reference.OPEN,)
 
 
 def test_without_flights_it_is_the_mean_over_the_solved_maps(mixed, monkeypatch):
