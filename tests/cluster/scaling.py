@@ -1,79 +1,86 @@
-"""What a sweep costs besides the runs: 16 tiny runs with 1 and 2 workers, and folders of ten thousand runs.
+"""What a sweep costs besides the runs: 16 tiny runs by 1 and by 2 workers, and folders of ten thousand runs.
 
-Run by ``make cluster-scaling``; wall-clock and CPU time are both said, since machines are seldom idle.
+Run by ``make cluster-scaling``; wall-clock and CPU time are both said, and the load, since machines are seldom idle.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from synthetic import synthesize
 
-from srlrace.config import run_id, to_dict
-from srlrace.hydra_bridge import compose
+from srlrace.runs import list_runs
 
-REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 RUNS = 16
+BY_HAND = 4  # of them, to compare with
 STEPS = "50000"  # two rollouts: the start of a process is nearly all of it
 MANY = 10_000
 
+Measured = tuple[float, float]
 
-def srlrace(*words: str) -> tuple[float, float]:
-    """Run a command; returns its wall-clock and CPU time, s."""
+
+def measured(*commands: tuple[str, ...]) -> Measured:
+    """Run commands one after another; returns their wall-clock and CPU time, s."""
     before, began = os.times(), time.monotonic()
-    subprocess.run([sys.executable, "-m", "srlrace", *words], check=True, capture_output=True)
+    for words in commands:
+        subprocess.run([sys.executable, "-m", "srlrace", *words], check=True, capture_output=True)
     after = os.times()
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
     return time.monotonic() - began, cpu
 
 
-def sweep(folder: Path, jobs: int) -> tuple[float, float]:
-    """Sixteen runs by so many workers."""
-    words = ("--seeds", str(RUNS), "--steps", STEPS, "--record", "none", "--jobs", str(jobs))
-    return srlrace("sweep", "smoke", *words, "--runs", str(folder))
+def by_hand(root: Path) -> Measured:
+    """Some of the runs without a sweep: what each takes by itself."""
+    words = ("env=forest", "level=none", f"algo.total_steps={STEPS}", "--runs", str(root))
+    wall, cpu = measured(*(("train", f"seed={seed}", *words) for seed in range(BY_HAND)))
+    options = ("--episodes", "50", "--record", "none", "--runs", str(root))
+    evaluations = measured(*(("eval", run.id, *options) for run in list_runs(root)))
+    return wall + evaluations[0], cpu + evaluations[1]
 
 
-def synthesize(folder: Path, count: int) -> None:
-    """Folders as sweeps leave them: the files of a published run, under the ids of other seeds."""
-    source = next(REFERENCE.glob("forest-srl-s0-*"))
-    config = compose(["env=forest", "randomization=init"])
-    for seed in range(count):
-        settings = replace(config, seed=seed)
-        run = folder / run_id(settings)
-        shutil.copytree(source, run)
-        (run / "config.json").write_text(json.dumps(to_dict(settings)))
-        (run / "run.json").write_text(json.dumps({"steps": config.algo.total_steps, "train_wall_s": 300.0}))
+def sweep(root: Path, jobs: int) -> Measured:
+    """All of them, by so many workers."""
+    words = ("--seeds", str(RUNS), "--steps", STEPS, "--record", "none", "--jobs", str(jobs), "--runs", str(root))
+    return measured(("sweep", "smoke", *words))
+
+
+def folders(place: Path) -> dict[str, Measured]:
+    """What is done with ten thousand runs."""
+    root = place / "many"
+    synthesize(root, MANY)
+    tasks = {
+        f"list {MANY} runs": ("runs",),
+        f"report {MANY} runs": ("report",),
+        "plan the paper's study": ("sweep", "paper", "--dry-run"),
+    }
+    return {what: measured((*words, "--runs", str(root))) for what, words in tasks.items()}
+
+
+def workers(place: Path) -> dict[str, Measured]:
+    """What a sweep costs, and what a second worker gains; by hand first and last, since the load changes."""
+    hand = [by_hand(place / "first")]
+    times = {f"{RUNS} runs, {jobs} worker(s)": sweep(place / str(jobs), jobs) for jobs in (1, 2)}
+    hand.append(by_hand(place / "last"))
+    return {f"{BY_HAND} runs by hand": (sum(wall for wall, _ in hand) / 2, sum(cpu for _, cpu in hand) / 2)} | times
 
 
 def main() -> None:
-    """Measure, and print the table."""
-    table = Table("what", "wall-clock, s", "CPU, s")
+    """Measure what was asked for, ``folders`` or ``workers`` or both, and print a table."""
+    parts = [part for part in (folders, workers) if part.__name__ in (sys.argv[1:] or ("folders", "workers"))]
+    table, console = Table("what", "wall-clock, s", "CPU, s"), Console()
     with tempfile.TemporaryDirectory() as place:
-        many = Path(place) / "many"
-        synthesize(many, MANY)
-        measured: dict[str, Callable[[], tuple[float, float]]] = {
-            f"list {MANY} runs": lambda: srlrace("runs", "--runs", str(many)),
-            f"report {MANY} runs": lambda: srlrace("report", "--runs", str(many)),
-            "plan what is missing": lambda: srlrace("sweep", "paper", "--dry-run", "--runs", str(many)),
-            "one train, for comparison": lambda: srlrace(
-                "train", "level=none", f"algo.total_steps={STEPS}", "--runs", f"{place}/one"
-            ),
-            f"{RUNS} runs, 1 worker": lambda: sweep(Path(place) / "1", 1),
-            f"{RUNS} runs, 2 workers": lambda: sweep(Path(place) / "2", 2),
-        }
-        for what, measure in measured.items():
-            table.add_row(what, *(f"{figure:.1f}" for figure in measure()))
-    Console().print(table)
+        for part in parts:
+            for what, figures in part(Path(place)).items():
+                table.add_row(what, *(f"{figure:.1f}" for figure in figures))
+    console.print(table)
+    console.print(f"{os.cpu_count()} cores, load {', '.join(f'{load:.1f}' for load in os.getloadavg())}")
 
 
 if __name__ == "__main__":

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 from pathlib import Path
 
-from clusters import STEPS, Engine, assert_same, at_work, attempts, await_, console_lines, family, processes
+from clusters import STEPS, Engine, assert_same, at_work, attempts, await_, console_lines, family, kill, processes
 
 SWEEP = ("sweep", "smoke", "--steps", str(STEPS), "--seeds", "3", "--launcher", "ray", "--memory", "0.5")
-
-
-def kill(pids: list[int]) -> None:
-    """Kill processes that may be gone."""
-    for pid in pids:
-        try:
-            os.kill(pid, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
 
 
 def test_a_worker_a_node_and_the_sweep_killed(ray_cluster: Engine, reference: Path, tmp_path: Path) -> None:

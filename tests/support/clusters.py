@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -143,3 +144,12 @@ def family(pid: int) -> list[int]:
     for member in members:
         members += children.get(member, [])
     return members
+
+
+def kill(pids: list[int]) -> None:
+    """Kill processes that may be gone."""
+    for pid in pids:
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
