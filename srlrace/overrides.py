@@ -68,7 +68,9 @@ def _as_choice(word: str) -> str:
 
 
 def _check_word(key: str, value: str, options: Options) -> Iterator[str]:
-    if LAUNCHER.fullmatch(key):
+    if key == "hydra/launcher":
+        yield f"{key}={_quote(_unquote(value))}"  # a name even where it looks like a number
+    elif LAUNCHER.fullmatch(key):
         yield f"{key}={value}"
     elif key in GROUPS:
         yield from _check_choice(key, value, options)
