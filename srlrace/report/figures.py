@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from srlrace.files import atomic_write
 from srlrace.report.collect import Evaluation, Run
 from srlrace.report.courses import find_course
 from srlrace.report.learning_figure import (
@@ -102,11 +104,17 @@ def write_figures(report: Report, runs: Sequence[Run], folder: Path, fly: bool =
 
 
 def save(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure in every format, beside each other."""
+    """Write a figure in every format, beside each other.
+
+    Drawn in memory: where the disk fails, Matplotlib leaves half a file, and may hide why behind an error of its own.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    targets = [path.with_name(f"{path.name}.{suffix}") for suffix in FORMATS]
-    for target, metadata in zip(targets, FORMATS.values(), strict=True):
-        figure.savefig(target, dpi=RESOLUTION, metadata=metadata)
+    targets = []
+    for suffix, metadata in FORMATS.items():
+        drawing = io.BytesIO()
+        figure.savefig(drawing, format=suffix, dpi=RESOLUTION, metadata=metadata)
+        targets.append(path.with_name(f"{path.name}.{suffix}"))
+        atomic_write(targets[-1], drawing.getvalue())
     return targets
 
 

@@ -94,6 +94,7 @@ def test_the_nth_operation_fails(command, complete, tmp_path, phase, chance, muc
                 status, errors = command(*words_)
             reached = faults.reached
             check_root(place / "runs")
+            assert contents(place / "out").items() <= contents(reference / "out").items()
             if reached:
                 kinds.add(faults.log[failing - 1].split()[0])
                 assert status != 0, (faults.log[failing - 1], errors)
@@ -103,7 +104,7 @@ def test_the_nth_operation_fails(command, complete, tmp_path, phase, chance, muc
             assert found == (expected if phase != "train" else {k: v for k, v in expected.items() if "/" not in k})
             assert leftovers(place / "runs") == []
             if phase == "report":
-                assert tables(place / "out") == tables(reference / "out")
+                assert contents(place / "out") == contents(reference / "out")
             shutil.rmtree(place)
         failing += chance.randrange(1, 2 * stride)
     say(f"{phase}: {failing - 2} operations, each failed with {3 if SOAKED else 1} errors: {', '.join(sorted(kinds))}")
@@ -120,8 +121,10 @@ def prepare(place, reference, phase) -> None:
             shutil.rmtree(folder)
 
 
-def tables(folder) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.glob("*.csv")}
+def contents(folder) -> dict[str, bytes]:
+    """What a report wrote: tables and figures, each whole or not there."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files if not path.name.startswith(".")}
 
 
 def test_a_full_disk(zygote, complete, tmp_path, chance, much, say):
