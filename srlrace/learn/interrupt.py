@@ -35,13 +35,13 @@ class StopRequest:
         self.run_id = run_id
         self.signum: int | None = None
         self._since = 0.0  # s, when it asked
-        self._deferring = False
+        self.deferring = False  # within `deferred`
         self._raised = False
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
         if self.signum is None:
             self.signum, self._since = signum, time.monotonic()
-            if not self._deferring:
+            if not self.deferring:
                 self.check()
         elif signum == signal.SIGINT or time.monotonic() - self._since > ONE_REQUEST:
             if sys.stderr.isatty():
@@ -62,11 +62,11 @@ class StopRequest:
         """
         if check:
             self.check()
-        self._deferring = True
+        self.deferring = True
         try:
             yield
         finally:
-            self._deferring = False
+            self.deferring = False
         if check:
             self.check()
 
@@ -89,21 +89,29 @@ class StopRequest:
 def stop_request(run_id: str) -> Iterator[StopRequest]:
     """Catch `srlrace.signals.SIGNALS` for the duration of the block."""
     request = StopRequest(run_id)
-    with handling(request._handle), _lost_in_silence():
+    with handling(request._handle), _raised_again(request):
         yield request
 
 
 @contextmanager
-def _lost_in_silence() -> Iterator[None]:
-    """Print no traceback of an `Interrupted` that is lost in a callback: `StopRequest` remembers it."""
-    usual = sys.unraisablehook
+def _raised_again(request: StopRequest) -> Iterator[None]:
+    """Where an `Interrupted` gets lost in a callback, print no traceback of it, but raise it in the next call."""
+    hook, profile = sys.unraisablehook, sys.getprofile()
+
+    def next_call(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and not request.deferring:
+            sys.setprofile(profile)
+            request.check()
 
     def tell(lost: sys.UnraisableHookArgs) -> None:
-        if not isinstance(lost.exc_value, Interrupted):
-            usual(lost)
+        if isinstance(lost.exc_value, Interrupted):
+            sys.setprofile(next_call)
+        else:
+            hook(lost)
 
     sys.unraisablehook = tell
     try:
         yield
     finally:
-        sys.unraisablehook = usual
+        sys.setprofile(profile)
+        sys.unraisablehook = hook

@@ -14,7 +14,7 @@ import torch
 from srlrace.config import load_config, run_id
 from srlrace.learn import train as training
 from srlrace.learn.checkpoint import load_checkpoint
-from srlrace.learn.interrupt import Interrupted
+from srlrace.learn.interrupt import Interrupted, stop_request
 from srlrace.learn.progress import COLUMNS, ProgressFile, figures_text, outcome_ratios
 from srlrace.learn.train import Diverged, Training, train
 from srlrace.runs import RunError, RunFolder, State
@@ -200,6 +200,24 @@ def test_a_signal_is_one_wherever_it_comes(tiny, reference, tmp_path, monkeypatc
     assert (found.steps if found else None) == kept
     train(tiny, tmp_path)
     assert same_result(run.path, reference)
+
+
+def test_a_signal_that_got_lost_is_not_for_long():
+    """The next call of a Python function is the last, were there a million of a compilation left."""
+    calls = []
+
+    def work():
+        lost()
+        for _ in range(10**6):
+            step()
+
+    def step():
+        calls.append(1)
+
+    with stop_request("x"), pytest.raises(Interrupted):
+        work()
+    assert calls == []
+    assert sys.getprofile() is None
 
 
 def test_a_save_that_fails_after_a_signal_is_a_failure(tiny, tmp_path, monkeypatch):
