@@ -9,15 +9,21 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from srlrace.report.layout import NOT_RUN, OTHERS_TITLE, footnotes, heading, marks, number
+from srlrace.report.layout import NOT_RUN, OTHERS_TITLE, footnotes, heading, marks, number, others_grid
 from srlrace.report.model import Cell, Estimate, Numbers, OtherRun, Report, Table
+from srlrace.text import clean
+
+LONG = 1000  # runs outside the tables that nobody reads from top to bottom
 
 
 def print_report(report: Report, console: Console) -> None:
     """Print the tables, the runs outside them, and what could not be read."""
     for table in report.tables:
         console.print(terminal_table(table))
-    if report.others:
+    if len(report.others) > LONG:
+        console.print(Text(OTHERS_TITLE, style="bold"))
+        console.out(_lines(report.others), highlight=False)
+    elif report.others:
         console.print(_others(report.others))
     for line in report.problems:
         console.print(Text(f"! {line}", style="yellow"))
@@ -39,6 +45,14 @@ def terminal_table(table: Table) -> RenderableType:
         view.add_section()
     notes = [Text(f"  {line}", style="dim", overflow="fold") for line in footnotes(table)]
     return Group(view, *notes, Text())
+
+
+def _lines(others: tuple[OtherRun, ...]) -> str:
+    """Return what `_others` shows, as plain lines: laying out thousands of rows takes longer than their statistics."""
+    table = others_grid(others)
+    rows = [[clean(cell) for cell in row] for row in (table.head, *table.rows)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows) + "\n"
 
 
 def _others(others: tuple[OtherRun, ...]) -> RenderableType:

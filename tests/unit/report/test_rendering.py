@@ -12,8 +12,8 @@ from srlrace.report import latex, markdown
 from srlrace.report.csv_tables import render_csv
 from srlrace.report.experiments import Experiment, PaperCell, Row
 from srlrace.report.layout import grid, marks
-from srlrace.report.model import Cell, Estimate, Numbers, Table
-from srlrace.report.terminal import terminal_table
+from srlrace.report.model import Cell, Estimate, Numbers, OtherRun, Report, Table
+from srlrace.report.terminal import LONG, print_report, terminal_table
 
 NUMBERS = Numbers(
     time_s=Estimate(5.0, 4.9, 5.1), time_iqm_s=None, crash_pct=Estimate(0.0, 0.0, 0.37), crash_iqm_pct=None,
@@ -71,3 +71,18 @@ def test_a_gap_appears_only_with_a_reference() -> None:
 
 def test_marks_go_on_after_z() -> None:
     assert marks(28)[:2] + marks(28)[25:] == ["a", "b", "z", "aa", "ab"]
+
+
+def test_the_terminal_lists_thousands_of_runs_line_by_line() -> None:
+    others = tuple(OtherRun(f"run{i}", "[red]x[/]\x1b", "train_map", NUMBERS) for i in range(LONG + 1))
+    few, many = (io.StringIO() for _ in range(2))
+    for stream, shown in ((few, others[:LONG]), (many, others)):
+        print_report(Report((), shown, ("unreadable",)), Console(file=stream, width=80))
+    lines = many.getvalue().splitlines()
+    assert "Evaluated runs outside these tables" in lines[0]
+    assert lines[2].split() == ["run0", "[red]x[/]\ufffd", "train_map", "5.00", "[4.90,", "5.10]", "0.00", "[0.00,",
+                                "0.37]", "1000/1000", "0/1000"]  # fmt: skip
+    assert [line.split()[0] for line in lines[2 : LONG + 3]] == [other.run for other in others]
+    assert lines[-1] == "! unreadable"
+    assert "run0 " in few.getvalue()
+    assert len(few.getvalue().splitlines()) > 2 * LONG
