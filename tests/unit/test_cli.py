@@ -320,5 +320,9 @@ def test_ctrl_c_is_one_also_within_compiled_code(place, monkeypatch, capsys, wra
             raise
 
     monkeypatch.setattr("srlrace.bench.run", interrupted)
-    assert run(monkeypatch, "bench") == 130
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
+    try:
+        assert run(monkeypatch, "bench") == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err == "stopped; the same command starts anew, and leaves nothing half done\n"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,12 @@ RERUN = Path(sys.executable).with_name("rerun")
 LIMIT = 60  # s
 
 
-def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=LIMIT, check=False)
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def run(*command: str | Path, home: str | None = None) -> subprocess.CompletedProcess[str]:
+    words, env = list(map(str, command)), {**os.environ, **({"HOME": home, "XDG_CONFIG_HOME": home} if home else {})}
+    return subprocess.run(words, capture_output=True, text=True, timeout=LIMIT, check=False, env=env)
 
 
 @pytest.fixture(scope="module")
@@ -68,24 +74,27 @@ def test_typescript_finds_every_message_through_the_index(typescript: dict[str, 
 
 
 @pytest.fixture(scope="module")
-def rerun() -> Path:
+def rerun(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Rerun's command line, in a home of its own where it has introduced itself and collects nothing."""
     if not RERUN.exists():
         pytest.skip("needs the rerun-sdk package in the same environment")
-    return RERUN
+    home = str(tmp_path_factory.mktemp("home"))
+    run(RERUN, "analytics", "disable", home=home)
+    return partial(run, RERUN, home=home)
 
 
-def test_rerun_finds_nothing_to_complain_about(rerun: Path, recording: Path) -> None:
-    done = run(rerun, "mcap", "check", "--full", recording)
+def test_rerun_finds_nothing_to_complain_about(rerun: Run, recording: Path) -> None:
+    done = rerun("mcap", "check", "--full", recording)
     assert (done.returncode, done.stderr) == (0, "")
     rows = [line.split() for line in done.stdout.splitlines() if "/" in line and line.count("—") == 1]
     topics = ("/episode", "/scene", "/state", "/drone/pose")
     assert {row[3]: (row[0], row[2]) for row in rows} == dict.fromkeys(topics, ("ok", "3")), done.stdout
 
 
-def test_rerun_would_complain(rerun: Path, recording: Path, tmp_path: Path) -> None:
+def test_rerun_would_complain(rerun: Run, recording: Path, tmp_path: Path) -> None:
     """It exits with 0 all the same, so what it prints is what counts."""
     broken = tmp_path / "broken.mcap"
     data = bytearray(recording.read_bytes())
     data[len(data) // 2] ^= 0xFF
     broken.write_bytes(data)
-    assert "CRC" in run(rerun, "mcap", "check", "--full", broken).stderr
+    assert "CRC" in rerun("mcap", "check", "--full", broken).stderr
