@@ -326,3 +326,15 @@ def test_ctrl_c_is_one_also_within_compiled_code(place, monkeypatch, capsys, wra
     finally:
         signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err == "stopped; the same command starts anew, and leaves nothing half done\n"
+
+
+@pytest.mark.parametrize(("status", "tidied"), [(130, False), (143, False), (2, True), (0, True)])
+def test_a_process_that_was_stopped_leaves_without_tidying_up(status, tidied):
+    """What it was stopped in may be half made, and crash it then."""
+    code = (
+        "import atexit, sys; from srlrace import __main__, cli; atexit.register(print, 'tidied')\n"
+        f"cli.main = lambda: (print('said'), sys.exit({status})); __main__.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == status, done.stderr
+    assert done.stdout.split() == ["said", "tidied"][: 1 + tidied]
