@@ -21,6 +21,7 @@ from srlrace.learn.checkpoint import load_checkpoint
 from srlrace.learn.train import Diverged, train
 from srlrace.provenance import changes, circumstances
 
+SOAKED = os.environ.get("SRLRACE_SOAK") == "1"
 TRAIN_AND_FLY = """
 import sys
 from srlrace import cli
@@ -46,6 +47,26 @@ def test_nothing_around_it_changes_a_result(undisturbed, tmp_path):
     assert done.returncode == 0, done.stderr
     [folder] = (tmp_path / "runs").iterdir()
     assert results(folder) == undisturbed("mixed")
+
+
+@pytest.mark.skipif(not SOAKED, reason="compiles everything anew, which takes a minute: in the soak")
+def test_results_do_not_depend_on_what_is_compiled_already(undisturbed, tmp_path, chance, say):
+    """An empty cache, a full one, and those that lack other halves: kernels that call kernels round the same."""
+    cache, found = tmp_path / "cache", []
+    for index in range(5):
+        if index > 1:
+            kernels = sorted(cache.rglob("*.nbi"))
+            for kernel in chance.sample(kernels, len(kernels) // 2):
+                kernel.unlink()
+        command = [sys.executable, "-c", TRAIN_AND_FLY, str(tmp_path / f"runs{index}"), *words("mixed")]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        [folder] = (tmp_path / f"runs{index}").iterdir()
+        found.append(results(folder))
+    assert len(list(cache.rglob("*.nbi"))) > 50
+    assert found == [undisturbed("mixed")] * 5
+    say(f"{len(list(cache.rglob('*.nbi')))} kernels from an empty cache, a full one, and three half full: the same")
 
 
 def test_results_do_not_depend_on_the_clock(undisturbed, tmp_path, monkeypatch):
