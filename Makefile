@@ -119,7 +119,7 @@ cluster-scaling: $(STAMP)
 
 # Kills, failing disks, damage, signals, hostile runs, in full: a quarter of an hour on two quiet cores.
 soak: $(STAMP)
-	SRLRACE_SOAK=1 $(BIN)/python -m pytest tests/failures -v --durations=10
+	SRLRACE_SOAK=1 $(BIN)/python -m pytest tests/failures -vv --durations=10
 
 clean:
 	rm -rf $(VENV) $(NODE_MODULES) $(AXE) .pytest_cache .mypy_cache .ruff_cache .hypothesis

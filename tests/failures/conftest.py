@@ -58,9 +58,11 @@ def undisturbed(zygote: zygotes.Zygote, tmp_path_factory: pytest.TempPathFactory
 def say(pytestconfig: pytest.Config) -> Callable[[str], None]:
     """Tell a figure of the soak on the terminal."""
     reporter = pytestconfig.pluginmanager.get_plugin("terminalreporter")
+    captures = pytestconfig.pluginmanager.get_plugin("capturemanager")
 
     def tell(text: str) -> None:
         if SOAK and reporter:
-            reporter.write_line(f"  {text}")
+            with captures.global_and_fixture_disabled():  # else it is said where a test fails, and only there
+                reporter.write_line(f"  {text}")
 
     return tell
