@@ -191,7 +191,7 @@ class RunFolder:
         except OSError as error:
             raise RunError(f"{self.path}: cannot write there ({error.strerror})") from None
         with hold(self.file("lock"), self.id):
-            for folder in (self.path, self.path / "checkpoint"):
+            for folder in (self.path, self.path / "checkpoint", self.path / "snapshots"):
                 remove_leftovers(folder)
             yield
 

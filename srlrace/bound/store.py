@@ -55,8 +55,8 @@ def reference_time(problem: Problem) -> float | None:
 
 def sample_key(free: Problem, level: LevelConfig) -> str:
     """Name of the maps of a level on a track, by content; ``free`` is the problem without obstacles."""
-    which = ("name", "maps", "map_seed", "fresh_steps")  # of the maps are drawn; the rest says what each is like
-    settings = {key: value for key, value in to_dict(level).items() if key not in which}
+    drawn = ("name", "maps", "map_seed", "fresh_steps")  # say which maps are drawn; the rest, what each is like
+    settings = {key: value for key, value in to_dict(level).items() if key not in drawn}
     text = json.dumps([free.key, settings], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import torch
 
-from srlrace.evaluation.episodes import CRASHES, episode_rows, mean_or_none
+from srlrace.evaluation.episodes import CRASHES, episode_rows, summarise
 from srlrace.evaluation.flights import fly
 from srlrace.evaluation.suites import EVALUATION_SEED, make_suite
-from srlrace.files import write_sealed
+from srlrace.files import remove_leftovers, write_sealed
 from srlrace.learn.policy import load_policy
 from srlrace.locks import hold
 from srlrace.runs import RunError, RunFolder
@@ -21,9 +21,9 @@ SNAPSHOT = re.compile(r"([1-9][0-9]{0,11})\.safetensors")  # named after the tra
 
 def snapshots(run: RunFolder) -> dict[int, Path]:
     """Return the policies kept along a run's training by the steps after which they were kept, in order."""
-    folder = run.file("snapshots")
-    found = {match[1]: path for path in folder.glob("*.safetensors") if (match := SNAPSHOT.fullmatch(path.name))}
-    return {steps: run.file("snapshots", found[str(steps)].name) for steps in sorted(map(int, found))}
+    names = (path.name for path in run.file("snapshots").glob("*.safetensors"))
+    found = sorted(int(match[1]) for match in map(SNAPSHOT.fullmatch, names) if match)
+    return {steps: run.file("snapshots", f"{steps}.safetensors") for steps in found}
 
 
 def evaluate_snapshots(run: RunFolder, episodes: int, suite: str = "train_map") -> list[dict[str, Any]]:
@@ -38,17 +38,18 @@ def evaluate_snapshots(run: RunFolder, episodes: int, suite: str = "train_map") 
     config = run.load_config()
     torch.set_num_threads(config.algo.threads)
     prepared = make_suite(config, suite)
-    timed = "lap_time_s" if config.env.laps else "time_s"
     rows = []
     folder = run.file("eval", suite)
     folder.mkdir(parents=True, exist_ok=True)
     with hold(run.file("eval", f".{suite}.lock"), f"the evaluation of {run.id} on {suite}"):
+        remove_leftovers(folder)
         for steps, path in kept.items():
             race, _ = fly(load_policy(config, path), prepared, episodes, 0)
-            flown = episode_rows(prepared, race)
-            times = [row[timed] for row in flown if row["outcome"] == "finished"]
-            crashed = sum(row["outcome"] in CRASHES for row in flown)
-            rows.append({"steps": steps, "finished": len(times), "crashed": crashed, "time_s": mean_or_none(times)})
+            summary = summarise(run.id, prepared, episode_rows(prepared, race))
+            outcomes = summary["outcomes"]
+            crashed = sum(outcomes[name] for name in CRASHES)
+            flown = {"finished": outcomes["finished"], "crashed": crashed, "time_s": summary["time_mean_s"]}
+            rows.append({"steps": steps, **flown})
         head = {"format": 1, "suite": suite, "episodes": episodes, "evaluation_seed": EVALUATION_SEED}
         write_sealed(folder / "learning.json", {**head, "snapshots": rows})
     return rows

@@ -54,7 +54,9 @@ BLOCKS: dict[str, Callable[[ObservationConfig], int]] = {
     "rays": lambda o: o.rays,
     "height": lambda _: 1,
 }
-POSITION, ROTATION, VELOCITY, BODY_RATE, TARGETS, OBSTACLE_DISTANCES, OBSTACLE_VECTORS, RAYS, HEIGHT = range(9)
+(
+    POSITION, ROTATION, VELOCITY, BODY_RATE, TARGETS, OBSTACLE_DISTANCES, OBSTACLE_VECTORS, RAYS, HEIGHT
+) = range(len(BLOCKS))  # fmt: skip
 
 
 def block_codes(observation: ObservationConfig) -> NDArray[np.int64]:
@@ -149,7 +151,7 @@ def wall_distance(position, direction, low, high):
 
 @inline
 def write_rays(fleet, rules, field, i, cos, sin, out, at):
-    """Write exp(-d / ray_scale) of horizontal rays to obstacles inflated by the drone and its margin."""
+    """Write exp(-d / ray_scale) of horizontal rays to inflated obstacles and, where asked, to the world's walls."""
     rays = out[at : at + rules.rays]
     x, y, z = fleet.state[0, i], fleet.state[1, i], fleet.state[2, i]
     cast_rays(x, y, z, fleet.map[i], *field, rules.keep_out, rules.reach, cos, sin, rules.directions, rays)

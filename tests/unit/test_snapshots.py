@@ -106,3 +106,11 @@ def test_a_strange_learning_file_is_passed_over(kept, rows, caplog):
     assert frame is None or frame["steps"].dtype == float
     if frame is None:
         assert "no evaluated learning curve" in caplog.text
+
+
+def test_what_a_kill_left_of_a_snapshot_goes_when_training_goes_on(kept):
+    leftover = kept.path / "snapshots" / ".3000.safetensors.77-0123abcd.tmp"
+    leftover.write_bytes(b"half")
+    with kept.lock():
+        assert not leftover.exists()
+    assert list(snapshots(kept)) == [1000, 20000]
