@@ -46,9 +46,10 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     write_sealed(folder / f"{stem}.json", facts, durable=False)
     keep = {path.stem for path in sorted(folder.glob("*.json"))[-KEPT:]}
     with naming(folder):
-        for path in folder.iterdir():
-            if path.suffix in {".json", ".safetensors"} and path.stem not in keep:
-                path.unlink(missing_ok=True)
+        for suffix in (".json", ".safetensors"):  # in this order: no seal is ever without what it seals
+            for path in folder.glob(f"*{suffix}"):
+                if path.stem not in keep:
+                    path.unlink(missing_ok=True)
 
 
 def load_generation(seal_path: Path) -> Checkpoint:

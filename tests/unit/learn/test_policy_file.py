@@ -3,6 +3,7 @@
 import json
 import pickle
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -249,6 +250,22 @@ def checkpoint(steps: int) -> Checkpoint:
 
 
 @pytest.mark.usefixtures("no_pickle")
+def test_no_seal_is_ever_without_what_it_seals(tmp_path, monkeypatch):
+    """Whichever file a save removed last before it was killed."""
+    for steps in (10, 20):
+        save_checkpoint(tmp_path, checkpoint(steps))
+    remove, seen = Path.unlink, []
+
+    def removing(path, missing_ok=False):
+        remove(path, missing_ok)
+        seals, sealed = ({found.stem for found in tmp_path.glob(f"*.{kind}")} for kind in ("json", "safetensors"))
+        seen.append(seals - sealed)
+
+    monkeypatch.setattr(Path, "unlink", removing)
+    save_checkpoint(tmp_path, checkpoint(30))
+    assert seen == [set(), set()]
+
+
 def test_checkpoints_keep_two_generations(tmp_path):
     folder = tmp_path / "checkpoint"
     assert load_checkpoint(folder) is None
