@@ -15,6 +15,13 @@ def main() -> None:
     It was stopped wherever it was: also within LLVM, whose half-made objects may crash a process that tidies up.
     """
     try:
+        _run()
+    except KeyboardInterrupt:  # once more, while it was leaving
+        os._exit(130)
+
+
+def _run() -> None:
+    try:
         cli.main()
     except SystemExit as leaving:
         if not isinstance(leaving.code, int) or leaving.code <= 128:

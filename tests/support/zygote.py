@@ -77,7 +77,7 @@ class Zygote:
 
 
 def main() -> None:
-    from srlrace import cli
+    from srlrace import __main__ as program
 
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -87,12 +87,12 @@ def main() -> None:
     ):
         for module in ("report.command", "tables", "bench", "recording.recover", "hydra_bridge"):
             importlib.import_module(f"srlrace.{module}")
-        call(cli, ["train", *WARM, "--runs", folder])
-        call(cli, ["eval", "--episodes", "3", "--runs", folder])
+        call(program, ["train", *WARM, "--runs", folder])
+        call(program, ["eval", "--episodes", "3", "--runs", folder])
     answer("ready")
     for line in sys.stdin:
         question = json.loads(line)
-        answer(json.dumps(ended(question["wait"]) if "wait" in question else born(cli, question)))
+        answer(json.dumps(ended(question["wait"]) if "wait" in question else born(program, question)))
 
 
 def answer(text: str) -> None:
@@ -100,7 +100,7 @@ def answer(text: str) -> None:
     sys.stdout.flush()
 
 
-def born(cli: Any, question: dict[str, Any]) -> int:
+def born(program: Any, question: dict[str, Any]) -> int:
     process = os.fork()
     if process:
         return process
@@ -122,7 +122,7 @@ def born(cli: Any, question: dict[str, Any]) -> int:
             guards.forbid_unpickling()
             guards.forbid_network()
         for words in question["calls"]:
-            status = call(cli, words)
+            status = call(program, words)
     except BaseException:
         import traceback
 
@@ -133,10 +133,10 @@ def born(cli: Any, question: dict[str, Any]) -> int:
         os._exit(status)
 
 
-def call(cli: Any, words: list[str]) -> int:
+def call(program: Any, words: list[str]) -> int:
     sys.argv = ["srlrace", *words]
     try:
-        cli.main()
+        program.main()
     except SystemExit as leaving:
         return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     return 0

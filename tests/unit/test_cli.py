@@ -338,3 +338,14 @@ def test_a_process_that_was_stopped_leaves_without_tidying_up(status, tidied):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == status, done.stderr
     assert done.stdout.split() == ["said", "tidied"][: 1 + tidied]
+
+
+def test_ctrl_c_while_it_leaves_changes_nothing():
+    code = (
+        "import signal, sys; from srlrace import __main__, cli\n"
+        "class Stubborn:\n    def flush(self): signal.raise_signal(signal.SIGINT)\n"
+        "def stop(): sys.stdout = Stubborn(); sys.exit(130)\n"
+        "cli.main = stop; __main__.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
