@@ -9,8 +9,8 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from invariants import check_root, leftovers, results
-from kinds import KINDS, words
+from invariants import check_root, leftovers, results, saved, wait_for_progress
+from kinds import KINDS, ROLLOUT, words
 
 from srlrace.hydra_bridge import compose
 from srlrace.learn.checkpoint import load_checkpoint
@@ -25,16 +25,22 @@ SAVE_OFTEN = {"srlrace.learn.train:SAVE_EVERY": 0.0}
 
 @pytest.mark.parametrize("kind", KINDS if SOAKED else FEW)
 def test_killed_again_and_again_it_ends_the_same(zygote, undisturbed, tmp_path, chance, much, say, kind):
-    expected, kills, rounds, steps = undisturbed(kind), 0, 0, set()
+    expected, kills, rounds, steps, resumed = undisturbed(kind), 0, 0, set(), 0
     wanted = much(5, 20)
     while kills < wanted or rounds == 0:
         rounds += 1
         root = tmp_path / f"runs{rounds}"
         command = (["train", *words(kind), "--runs", root], ["eval", "--episodes", "12", "--runs", root])
         while True:
+            before = saved(root)
             process = zygote.start(*command, out=tmp_path / "out", set=SAVE_OFTEN)
-            if kills < wanted:
-                time.sleep(chance.uniform(0, LONGEST))
+            evaluates = bool(list(root.glob("*/policy.safetensors")))
+            if kills < wanted and not (evaluates and chance.random() < 0.5):
+                if kills % 3 == 0 or evaluates:
+                    time.sleep(chance.uniform(0, LONGEST))  # anywhere, also while it starts or evaluates
+                else:
+                    wait_for_progress(root, before + chance.randrange(1, 4) * ROLLOUT)
+                    time.sleep(chance.uniform(0, 0.01))
                 os.kill(process, signal.SIGKILL)
             status = zygote.wait(process).status
             assert status in (0, -9), (tmp_path / "out").read_text()
@@ -45,10 +51,13 @@ def test_killed_again_and_again_it_ends_the_same(zygote, undisturbed, tmp_path, 
             for folder in root.glob("*/checkpoint"):
                 kept = load_checkpoint(folder)
                 steps.add(kept.steps if kept else 0)
+                resumed += kept is not None and kept.steps > before
         [folder] = [path for path in root.iterdir() if not path.name.startswith(".")]
         assert results(folder) == expected
         assert leftovers(root) == []
-    say(f"{kind}: {kills} kills over {rounds} runs, at {len(steps)} different checkpoints; all ended the same")
+    say(f"{kind}: {kills} kills over {rounds} runs, {resumed} after progress, at {len(steps)} different checkpoints;"
+        " all ended the same")  # fmt: skip
+    assert resumed >= wanted // 4  # else it was killed while it started, which shows little
 
 
 def test_killed_within_a_save_nothing_is_unreadable(tmp_path, chance, much, say):

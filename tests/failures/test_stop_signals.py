@@ -7,8 +7,8 @@ import signal
 import time
 
 import pytest
-from invariants import check_root, results
-from kinds import words
+from invariants import check_root, results, saved, wait_for_progress
+from kinds import ROLLOUT, words
 
 from srlrace.learn.checkpoint import load_checkpoint
 
@@ -19,11 +19,15 @@ SLOW = {"srlrace.learn.train:SAVE_EVERY": 0.0}
 @pytest.mark.parametrize("signum", SIGNALS, ids=lambda number: number.name)
 def test_a_signal_at_any_moment(zygote, undisturbed, tmp_path, chance, much, say, signum):
     expected, delays, moments = undisturbed("buffers"), [], much(4, 20)
-    root, rounds = tmp_path / "runs0", 0
+    root, rounds, advanced = tmp_path / "runs0", 0, 0
     while moments:
-        out = tmp_path / f"out{moments}-{rounds}"
+        out, before = tmp_path / f"out{moments}-{rounds}", saved(root)
         process = zygote.start(["train", *words("buffers"), "--runs", root], out=out, set=SLOW)
-        time.sleep(chance.uniform(0.02, 0.6))
+        if moments % 3:
+            wait_for_progress(root, before + chance.randrange(1, 4) * ROLLOUT)
+            time.sleep(chance.uniform(0, 0.01))  # a rollout, its update or a save
+        else:
+            time.sleep(chance.uniform(0.02, 0.6))  # anywhere
         os.kill(process, signum)
         begun = time.monotonic()
         ended = zygote.wait(process)
@@ -38,12 +42,14 @@ def test_a_signal_at_any_moment(zygote, undisturbed, tmp_path, chance, much, say
         assert "Traceback" not in text
         if "training forest" in text:
             assert f"stopped by {signum.name}; resume with: srlrace resume " in text
+            advanced += saved(root) > before
         moments -= 1
+    assert advanced
     runs = ("--runs", root)
     assert zygote.run(["train", *words("buffers"), *runs], ["eval", "--episodes", "12", *runs], out=out).status == 0
     [folder] = [path for path in root.iterdir() if not path.name.startswith(".")]
     assert results(folder) == expected
-    say(f"{signum.name}: {len(delays)} signals, saved and gone after {max(delays):.2f} s at most")
+    say(f"{signum.name}: {len(delays)} signals, {advanced} after progress; saved and gone in {max(delays):.2f} s")
 
 
 def test_a_signal_does_not_wait_for_the_rollout(zygote, tmp_path, say):
@@ -62,11 +68,12 @@ def test_a_signal_does_not_wait_for_the_rollout(zygote, tmp_path, say):
 
 
 def test_the_second_ctrl_c_leaves_at_once(zygote, tmp_path, chance, much):
-    root = tmp_path / "runs"
     for index in range(much(3, 20)):
-        out = tmp_path / f"out{index}"
+        root, out = tmp_path / f"runs{index // 5}", tmp_path / f"out{index}"
+        before = saved(root)
         process = zygote.start(["train", *words("mixed"), "--runs", root], out=out, set=SLOW)
-        time.sleep(chance.uniform(0.2, 0.6))
+        wait_for_progress(root, before + ROLLOUT)
+        time.sleep(chance.uniform(0, 0.01))
         os.kill(process, signal.SIGINT)
         time.sleep(chance.uniform(0, 0.004))
         os.kill(process, signal.SIGINT)

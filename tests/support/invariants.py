@@ -1,8 +1,12 @@
-"""What holds of a runs folder after any failure: complete old files or complete new ones, and listing works."""
+"""What holds of a runs folder after any failure: complete old files or complete new ones, and listing works.
+
+And how far its runs have come, to fail them there.
+"""
 
 from __future__ import annotations
 
 import io
+import time
 from hashlib import sha256
 from pathlib import Path
 
@@ -63,3 +67,15 @@ def results(folder: Path) -> dict[str, str]:
     untimed = [[row.split(",")[0], *row.split(",")[3:]] for row in rows]  # without wall-clock and speed
     found["progress.csv"] = repr(untimed).encode()
     return {name: sha256(content).hexdigest() for name, content in found.items()}
+
+
+def saved(root: Path) -> int:
+    """The newest checkpoint's step, by its name: reading it would race with the training."""
+    return max((int(path.stem) for path in root.glob("*/checkpoint/*.json")), default=0)
+
+
+def wait_for_progress(root: Path, steps: int) -> None:
+    """Wait until a training has saved so many steps, or is done."""
+    give_up = time.monotonic() + 60
+    while saved(root) < steps and not list(root.glob("*/policy.safetensors")) and time.monotonic() < give_up:
+        time.sleep(0.001)
