@@ -188,7 +188,8 @@ def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
     the training diverged, and leaves ``error.txt`` behind for anything unforeseen.
     """
     folder = RunFolder(root / run_id(config))
-    with stop_request(folder.id) as request, folder.lock():
+    # A stop may come up between two lines of a library's own clearing up; what it left switched is switched back.
+    with torch.enable_grad(), stop_request(folder.id) as request, folder.lock():
         if (folder.path / "policy.safetensors").is_file():
             logger.info("%s is finished; skipped", folder.id)
             return folder.path

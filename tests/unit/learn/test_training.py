@@ -202,6 +202,19 @@ def test_a_signal_is_one_wherever_it_comes(tiny, reference, tmp_path, monkeypatc
     assert same_result(run.path, reference)
 
 
+def test_a_stop_leaves_gradients_as_they_were(tiny, tmp_path, monkeypatch):
+    """Even where it comes within `torch.no_grad`'s own way out."""
+
+    def halfway():
+        torch.set_grad_enabled(False)
+        signal.raise_signal(signal.SIGTERM)
+
+    stop_within(monkeypatch, training, "RaceVecEnv", 0, halfway)
+    with pytest.raises(Interrupted):
+        train(tiny, tmp_path)
+    assert torch.is_grad_enabled()
+
+
 def test_a_signal_that_got_lost_is_not_for_long():
     """The next call of a Python function is the last, were there a million of a compilation left."""
     calls = []
