@@ -209,6 +209,10 @@ class CurriculumConfig:
     cost_initial: float = setting("share of every cost (negative weight) at the first step", low=0.0, high=1.0)
     cost_hold: float = setting("share of training during which it stays there", low=0.0, high=1.0)
     cost_ramp: float = setting("share of training after which it is 1, reached linearly", low=0.0, high=1.0)
+    obstacle_ease: float = setting("obstacles are smaller by this at first", unit="m", low=0.0, high=100.0, default=0.0)
+    waypoint_ease: float = setting("waypoints are larger by this at first", unit="m", low=0.0, high=100.0, default=0.0)
+    ease_hold: float = setting("share of training during which both keep that", low=0.0, high=1.0, default=0.0)
+    ease_end: float = setting("share of training after which both are true to size", low=0.0, high=1.0, default=0.0)
 
 
 @dataclass(frozen=True)
@@ -284,3 +288,8 @@ class Config:
     randomization: RandomizationConfig = setting("what resets draw anew")
     curriculum: CurriculumConfig = setting("what makes the start of training easier")
     algo: AlgoConfig = setting("the learning algorithm")
+
+    @property
+    def keep_out(self) -> float:
+        """How far from an obstacle's surface the drone's centre must stay, m: arm length and safety margin."""
+        return self.quad.arm_length + self.level.safety_margin

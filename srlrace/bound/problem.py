@@ -86,7 +86,7 @@ def problem_of(config: Config, kind: str = "lap", stop: bool = False, obstacles:
         bounds_high=track.bounds_high,
         quad=config.quad,
         obstacles=drawn,
-        keep_out=config.quad.arm_length + config.level.safety_margin if drawn else 0.0,
+        keep_out=config.keep_out if drawn else 0.0,
     )
 
 

@@ -118,6 +118,11 @@ def phase_text(curriculum: CurriculumConfig, done: float) -> str:
     staged = curriculum.gate_starts + curriculum.memory_starts
     staged *= 1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end)
     words = ["costs in full" if costs >= 1.0 else f"costs at {100 * costs:.0f} %"]
+    ease = 1.0 - ramp(done, curriculum.ease_hold, curriculum.ease_end)
+    if curriculum.obstacle_ease * ease > 0:
+        words.append(f"obstacles {curriculum.obstacle_ease * ease:.2f} m smaller")
+    if curriculum.waypoint_ease * ease > 0:
+        words.append(f"waypoints {curriculum.waypoint_ease * ease:.2f} m larger")
     if staged > 0:
         words.append(f"{100 * staged:.0f} % of starts along the course")
     return "curriculum: " + ", ".join(words)

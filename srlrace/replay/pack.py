@@ -84,7 +84,7 @@ def pack_course(config: Config) -> dict[str, Any]:
         "gates": len(track.waypoints),
         "laps": track.laps,
         "passingRadius": track.passing_radius,
-        "keepOut": quad.arm_length + config.level.safety_margin,
+        "keepOut": config.keep_out,
         "armLength": quad.arm_length,
         "mass": quad.mass,
         "gravity": GRAVITY,

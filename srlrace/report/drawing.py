@@ -14,17 +14,12 @@ from numpy.typing import NDArray
 from srlrace.recording.flight import SceneObstacle
 from srlrace.report.projection import nearness, outline, project
 from srlrace.report.style import CAP, GATE, GRID, HALO, MUTED, SOLID
-from srlrace.schema import Config, TrackConfig
+from srlrace.schema import TrackConfig
 
 Array = NDArray[np.float64]
 
 SIDES = 24  # corners of a circle
 TILE = 5.0  # m between lines on the floor
-
-
-def keep_out(config: Config) -> float:
-    """Return how far from an obstacle's surface the drone's centre must stay [m]: arm length and safety margin."""
-    return config.quad.arm_length + config.level.safety_margin
 
 
 def obstacles_from_above(axes: Axes, obstacles: Sequence[SceneObstacle], margin: float) -> None:

@@ -14,7 +14,6 @@ from srlrace.report.drawing import (
     floor_in_space,
     gates_from_above,
     gates_in_space,
-    keep_out,
     layer_of,
     obstacles_from_above,
     obstacles_in_space,
@@ -99,7 +98,7 @@ def _draw_space(course: Course, window: Array, title: str, top: float, axes: Axe
 
 
 def _draw_above(course: Course, window: Array, title: str, top: float, axes: Axes) -> None:
-    obstacles_from_above(axes, course.obstacles, keep_out(course.config))
+    obstacles_from_above(axes, course.obstacles, course.config.keep_out)
     gates_from_above(axes, course.waypoints, course.config.env)
     for flight in course.flights:
         for piece, colour in pieces(flight, top):

@@ -68,7 +68,7 @@ def certificate_key(config: Config, drawn: Map) -> str:
 
 def fly_paths(config: Config, maps: Sequence[Map]) -> list[float | None]:
     """Fly the clear path of each map, slower where a faster flight failed; return the times, s, None for a failure."""
-    clearance = config.quad.arm_length + config.level.safety_margin
+    clearance = config.keep_out
     paths = [clear_path(config.env, drawn, clearance) for drawn in maps]
     times: list[float | None] = [None] * len(maps)
     for pace in PACES:

@@ -61,7 +61,7 @@ def make_field(config: Config, mode: RaceMode) -> Field:
 
 def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -> Rules:
     """Collect the constants of a race."""
-    track, level, draw = config.env, config.level, config.randomization
+    track, draw = config.env, config.randomization
     airframe = Airframe(config.quad)
     displaced = len(track.waypoints) if draw.every_waypoint else track.displaced_waypoints
     return Rules(
@@ -74,7 +74,7 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         bounds=np.array([*track.bounds_low, *track.bounds_high], dtype),
         passing_radius=track.passing_radius,
         arm_length=config.quad.arm_length,
-        keep_out=config.quad.arm_length + level.safety_margin,
+        keep_out=config.keep_out,
         airframe=airframe.pack(dtype),
         hover_thrust=airframe.hover_thrust,
         max_collective=airframe.max_collective,
@@ -201,7 +201,7 @@ class Race:
         self.set_progress(0.0)
 
     def set_progress(self, done: float) -> None:
-        """Say which share of training is done: costs grow with it and staged starts end (`CurriculumConfig`).
+        """Say which share of training is done: costs grow, staged starts end, sizes become true (`CurriculumConfig`).
 
         All costs together, not the crash penalty alone: at full weight, flying with wide exploration costs
         more per second (body rates, time, obstacles) than a cheap crash, and the policy learns to crash soon.
@@ -213,8 +213,12 @@ class Race:
         share = 1.0 - (1.0 - curriculum.cost_initial) * (1.0 - ramp(done, curriculum.cost_hold, curriculum.cost_ramp))
         self.current_weights[:] = np.where(full < 0.0, full * share, full)
         left = 1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end)
+        ease = 1.0 - ramp(done, curriculum.ease_hold, curriculum.ease_end)
         self.rules = self.rules._replace(
-            gate_starts=curriculum.gate_starts * left, memory_starts=curriculum.memory_starts * left
+            gate_starts=curriculum.gate_starts * left,
+            memory_starts=curriculum.memory_starts * left,
+            keep_out=self.config.keep_out - curriculum.obstacle_ease * ease,
+            passing_radius=self.config.env.passing_radius + curriculum.waypoint_ease * ease,
         )
 
     def refresh(self, steps: int) -> None:

@@ -11,6 +11,13 @@ ROLLOUT = 128  # steps of a rollout of these runs
 KINDS = {
     "plain": ("level=none", "curriculum=none", "randomization=none"),
     "curriculum": ("level=1", "curriculum.cost_hold=0.1", "curriculum.cost_ramp=0.9", "env.horizon=1"),
+    "eased": (
+        "level=1",
+        "curriculum.obstacle_ease=0.5",
+        "curriculum.waypoint_ease=1",
+        "curriculum.ease_end=0.9",
+        "env.horizon=1",
+    ),
     "buffers": ("level=1", "curriculum.gate_starts=0.3", "curriculum.memory_starts=0.4", "env.horizon=1"),
     "mixed": ("level=mixed", "level.maps=5", "observation=rays", "env.horizon=1"),
     "randomized": ("level=2", "randomization=full", "randomization.maps=3", "env.horizon=0.6"),

@@ -80,9 +80,10 @@ def test_the_log_follows_no_link(hundred, tmp_path):
 def test_the_phase_is_what_the_race_does(hundred):
     curriculum = replace(
         hundred.curriculum, cost_initial=0.2, cost_hold=0.25, cost_ramp=0.75, gate_starts=0.25, memory_starts=0.25,
-        staged_hold=0.5, staged_end=1.0,
+        staged_hold=0.5, staged_end=1.0, obstacle_ease=0.5, waypoint_ease=1.0, ease_hold=0.0, ease_end=0.4,
     )  # fmt: skip
-    assert phase_text(curriculum, 0.1) == "curriculum: costs at 20 %, 50 % of starts along the course"
+    sizes = "obstacles 0.38 m smaller, waypoints 0.75 m larger"
+    assert phase_text(curriculum, 0.1) == f"curriculum: costs at 20 %, {sizes}, 50 % of starts along the course"
     assert phase_text(curriculum, 0.5) == "curriculum: costs at 60 %, 50 % of starts along the course"
     assert phase_text(curriculum, 0.75) == "curriculum: costs in full, 25 % of starts along the course"
     assert phase_text(curriculum, 1.0) == "curriculum: costs in full"

@@ -17,7 +17,6 @@ from srlrace.recording import Flight, RecordingWriter, SceneObstacle
 from srlrace.report import courses
 from srlrace.report.command import read_report
 from srlrace.report.courses import Trajectory, agreeing, read_course
-from srlrace.report.drawing import keep_out
 from srlrace.report.figures import write_figures
 from srlrace.report.learning_figure import learning_plot
 from srlrace.report.plots import figure_of, panel_figure
@@ -87,7 +86,7 @@ def test_the_top_view_draws_obstacles_as_they_collide(forest: Config, tmp_path: 
     plot = trajectory_plot({"srl": read_course(path, forest)}, "name", "title")
     above = panel_figure(plot.panels[1]).axes[0]
     radii = sorted(patch.get_radius() for patch in above.patches if hasattr(patch, "get_radius"))
-    margin = keep_out(forest)
+    margin = forest.keep_out
     gates = [forest.env.passing_radius] * len(forest.env.waypoints)
     assert radii == pytest.approx(sorted([0.3, 0.3 + margin, 1.0, 1.0 + margin, *gates]))
     assert margin == pytest.approx(forest.quad.arm_length + forest.level.safety_margin)

@@ -269,6 +269,35 @@ def test_staged_starts_end(config, trained, hover):
     assert not race.fleet.staged.any()
 
 
+def test_waypoints_shrink_to_their_size(config, trained, flown, place_drones, hover):
+    """A drone that flies by at 0.5 m passes while the radius of 0.3 m is still twice that, and never in evaluation."""
+    settings = staged(config, waypoint_ease=0.3, ease_hold=0.2, ease_end=0.6)
+    beside = np.array(settings.env.waypoints[0]) + [-0.1, 0.5, 0.0]
+    for race, passes in ((trained(settings, 1), (True, True, False)), (flown(settings, 1), (False, False, False))):
+        for done, passed in zip((0.0, 0.2, 0.6), passes, strict=True):
+            race.set_progress(done)
+            place_drones(race, [beside], [[10.0, 0.0, 0.0]], target=0)
+            race.step(hover(1))
+            assert (race.fleet.target[0] == 1) == passed
+    race = trained(settings, 1)
+    race.set_progress(0.4)
+    assert race.rules.passing_radius == pytest.approx(0.45)
+
+
+def test_obstacles_grow_to_their_size(config, trained, flown, place_drones, hover):
+    """A drone 0.1 m from a tree is too close where 0.25 m are wanted, and was not while that was less."""
+    plain = staged(config, obstacle_ease=0.2, ease_hold=0.2, ease_end=0.6)
+    settings = dataclasses.replace(plain, level=config("level=1").level)
+    tree, *_ = trained(settings, 1).field.obstacles(0)
+    beside = np.array([*tree.origin[:2], 2.0]) + [tree.sphere_radius + 0.1, 0.0, 0.0]
+    for race, crashes in ((trained(settings, 1), (False, False, True)), (flown(settings, 1), (True, True, True))):
+        for done, crashed in zip((0.0, 0.2, 0.6), crashes, strict=True):
+            race.set_progress(done)
+            race.reset()
+            place_drones(race, [beside], [[0.0, 0.0, 0.0]])
+            assert (race.step(hover(1)).outcome[0] == CRASHED) == crashed
+
+
 def test_episodes_restart_at_once_in_training(config, trained, place_drones, hover):
     race = trained(staged(config), 3)
     place_drones(race, [[0, 0, 4], [0, 0, 4], [0, 0, 0.05]], [[0, 0, 0], [0, 0, 0], [0, 0, -5]])
