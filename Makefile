@@ -117,7 +117,7 @@ cluster: $(STAMP)
 cluster-scaling: $(STAMP)
 	$(BIN)/python tests/cluster/scaling.py
 
-# Kills, failing disks, damage, signals, hostile runs, in full: a quarter of an hour on two quiet cores.
+# Kills, failing disks, damage, signals, hostile runs, in full: 41 minutes on one core while the other was busy.
 soak: $(STAMP)
 	SRLRACE_SOAK=1 $(BIN)/python -m pytest tests/failures -vv --durations=10
 
