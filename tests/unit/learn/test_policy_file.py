@@ -249,7 +249,6 @@ def checkpoint(steps: int) -> Checkpoint:
     return Checkpoint(steps, {"a/b": np.arange(steps), "c": np.float32([[1, 2]])}, {"wall_s": 1.5})
 
 
-@pytest.mark.usefixtures("no_pickle")
 def test_no_seal_is_ever_without_what_it_seals(tmp_path, monkeypatch):
     """Whichever file a save removed last before it was killed."""
     for steps in (10, 20):
@@ -266,6 +265,7 @@ def test_no_seal_is_ever_without_what_it_seals(tmp_path, monkeypatch):
     assert seen == [set(), set()]
 
 
+@pytest.mark.usefixtures("no_pickle")
 def test_checkpoints_keep_two_generations(tmp_path):
     folder = tmp_path / "checkpoint"
     assert load_checkpoint(folder) is None
