@@ -18,7 +18,7 @@ from rich.text import Text
 from srlrace.config import Config, CurriculumConfig
 from srlrace.console import err, logged
 from srlrace.learn.progress import figures_text
-from srlrace.task.race import ramp
+from srlrace.task.race import phase_of
 from srlrace.text import duration
 
 LOG = "train.log"
@@ -113,17 +113,13 @@ class Display:
 
 def phase_text(curriculum: CurriculumConfig, done: float) -> str:
     """Return what the curriculum does at this share of the training, in words."""
-    initial = curriculum.cost_initial
-    costs = initial + (1.0 - initial) * ramp(done, curriculum.cost_hold, curriculum.cost_ramp)
-    staged = curriculum.gate_starts + curriculum.memory_starts
-    staged *= 1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end)
-    words = ["costs in full" if costs >= 1.0 else f"costs at {100 * costs:.0f} %"]
-    ease = 1.0 - ramp(done, curriculum.ease_hold, curriculum.ease_end)
-    if curriculum.obstacle_ease * ease > 0:
-        words.append(f"obstacles {curriculum.obstacle_ease * ease:.2f} m smaller")
-    if curriculum.waypoint_ease * ease > 0:
-        words.append(f"waypoints {curriculum.waypoint_ease * ease:.2f} m larger")
-    if staged > 0:
+    phase = phase_of(curriculum, done)
+    words = ["costs in full" if phase.costs >= 1.0 else f"costs at {100 * phase.costs:.0f} %"]
+    if (smaller := curriculum.obstacle_ease * phase.ease) > 0:
+        words.append(f"obstacles {smaller:.2f} m smaller")
+    if (larger := curriculum.waypoint_ease * phase.ease) > 0:
+        words.append(f"waypoints {larger:.2f} m larger")
+    if (staged := (curriculum.gate_starts + curriculum.memory_starts) * phase.staged) > 0:
         words.append(f"{100 * staged:.0f} % of starts along the course")
     return "curriculum: " + ", ".join(words)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from srlrace.config import Config
+from srlrace.config import Config, CurriculumConfig
 from srlrace.sim.airframe import Airframe
 from srlrace.task.arrays import LEDGER, TALLY, Fleet, Floats, Memory, Output, Rules, Scratch
 from srlrace.task.certificate import certified_field
@@ -167,6 +167,24 @@ def ramp(done: float, start: float, end: float) -> float:
     return min(max((done - start) / (end - start), 0.0), 1.0) if end > start else float(done >= end)
 
 
+class Phase(NamedTuple):
+    """How far the curriculum is."""
+
+    costs: float  # share of their full weight
+    staged: float  # share that is left of gate and memory starts
+    ease: float  # share that is left of smaller obstacles and larger waypoints
+
+
+def phase_of(curriculum: CurriculumConfig, done: float) -> Phase:
+    """Return the phase when a share of the training is ``done``."""
+    grown = ramp(done, curriculum.cost_hold, curriculum.cost_ramp)
+    return Phase(
+        costs=1.0 - (1.0 - curriculum.cost_initial) * (1.0 - grown),
+        staged=1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end),
+        ease=1.0 - ramp(done, curriculum.ease_hold, curriculum.ease_end),
+    )
+
+
 class Race:
     """n drones on one track, stepped together by compiled kernels.
 
@@ -210,15 +228,13 @@ class Race:
         if not self._has_curriculum:
             self.current_weights[:] = full
             return
-        share = 1.0 - (1.0 - curriculum.cost_initial) * (1.0 - ramp(done, curriculum.cost_hold, curriculum.cost_ramp))
-        self.current_weights[:] = np.where(full < 0.0, full * share, full)
-        left = 1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end)
-        ease = 1.0 - ramp(done, curriculum.ease_hold, curriculum.ease_end)
+        phase = phase_of(curriculum, done)
+        self.current_weights[:] = np.where(full < 0.0, full * phase.costs, full)
         self.rules = self.rules._replace(
-            gate_starts=curriculum.gate_starts * left,
-            memory_starts=curriculum.memory_starts * left,
-            keep_out=self.config.keep_out - curriculum.obstacle_ease * ease,
-            passing_radius=self.config.env.passing_radius + curriculum.waypoint_ease * ease,
+            gate_starts=curriculum.gate_starts * phase.staged,
+            memory_starts=curriculum.memory_starts * phase.staged,
+            keep_out=self.config.keep_out - curriculum.obstacle_ease * phase.ease,
+            passing_radius=self.config.env.passing_radius + curriculum.waypoint_ease * phase.ease,
         )
 
     def refresh(self, steps: int) -> None:
