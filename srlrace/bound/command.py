@@ -16,7 +16,6 @@ from srlrace.bound.trajectory import Array, Reference, Trajectory
 from srlrace.config import Config, ConfigError
 from srlrace.world.flyable import clear_path
 
-RESTARTS = 3
 logger = logging.getLogger("srlrace.bound")
 
 

@@ -23,6 +23,7 @@ SIZES = (0.3, 0.5, 0.7, 0.85, 0.95, 1.0)  # shares of their size at which obstac
 NEARBY = 0.05  # m: obstacles closer to a neighbour's solution than this are kept clear from the beginning
 ALONG = 0.5  # m: and closer than this to a pilot's flight, which will change more
 COARSE = 4  # of its points that many eighths apart
+TURNS = (0, 1, -1)  # of the nose about the thrust during a lap, in its first guesses
 SOLVED = "Solve_Succeeded"
 logger = logging.getLogger(__name__)
 
@@ -91,13 +92,16 @@ def _attempts(
         yield from ((free.point_mass_time, partial(_hurry, problem, body, path)) for path in paths)
         if found and not problem.lap:
             return  # what is left is slow in a wood, and finds no better way than the paths
-        yield free.point_mass_time, partial(_grow, problem, body, free.trajectory)
+        if not problem.lap:
+            yield free.point_mass_time, partial(_grow, problem, body, free.trajectory)
     scouts = _scouts(problem, restarts, failures)
     for restart, (scout, clear) in enumerate(scouts):
-        guess = lift(problem.quad.mass, scout.state, scout.control, scout.step)
-        sign = -1 if problem.lap and restart % 2 else 1
+        turns = TURNS[restart % len(TURNS)] if problem.lap else 0
+        guess = lift(problem.quad.mass, scout.state, scout.control, scout.step, turns)
         nodes = Nodes(guess.state, guess.thrust, guess.step)
-        yield scouts[0][0].duration, partial(settle, problem, body, nodes, clear, sign)
+        yield scouts[0][0].duration, partial(settle, problem, body, nodes, clear)
+    if free is not None and problem.lap:
+        yield free.point_mass_time, partial(_grow, problem, body, free.trajectory)
 
 
 def _hurry(problem: Problem, body: Model, path: Sequence[Array]) -> Nodes:
@@ -115,7 +119,7 @@ def _hurry(problem: Problem, body: Model, path: Sequence[Array]) -> Nodes:
 def _give_way(problem: Problem, body: Model, free: Trajectory) -> Nodes:
     """Bend the flight without obstacles around all of those along it at once."""
     guess = Nodes(free.state, free.thrust, free.step)
-    return settle(problem, body, guess, _along(problem, guess), _sign(free.state))
+    return settle(problem, body, guess, _along(problem, guess))
 
 
 def _along(problem: Problem, guess: Nodes) -> set[Point]:
@@ -131,7 +135,7 @@ def _grow(problem: Problem, body: Model, free: Trajectory) -> Nodes:
         solids = tuple(replace(solid, sphere_radius=share * solid.sphere_radius) for solid in problem.obstacles)
         smaller = replace(problem, obstacles=solids, keep_out=share * problem.keep_out)
         clear = violated(smaller, nodes.state, nodes.steps, MARGIN)[0]
-        nodes = settle(smaller, body, nodes, clear, _sign(nodes.state), warm=True)
+        nodes = settle(smaller, body, nodes, clear, warm=True)
     return nodes
 
 
@@ -143,17 +147,12 @@ def _scout_along(problem: Problem, flight: Trajectory) -> Nodes:
     return settle(problem, point_mass(problem), Nodes(flight.state[:, :6], force, flight.step), clear)
 
 
-def _sign(state: Array) -> int:
-    """Whether a flight's last quaternion means its attitude as the first one does (1) or is its negative (-1)."""
-    return -1 if state[0, 6:10] @ state[-1, 6:10] < 0 else 1
-
-
 def continue_from(problem: Problem, near: Trajectory) -> Reference:
     """Solve from the solution of a problem that differs a little; raises `BoundError` where that does not lead on."""
     guess = Nodes(near.state, np.minimum(near.thrust, problem.quad.thrust_max), near.step)
     try:
         clear = violated(problem, guess.state, guess.steps, NEARBY)[0]
-        nodes = settle(problem, rigid_body(problem), guess, clear, _sign(near.state), warm=True)
+        nodes = settle(problem, rigid_body(problem), guess, clear, warm=True)
         floor = min(scout.duration for scout, _ in _scouts(problem, 1, []))
         trajectory = Trajectory(nodes.state, nodes.control, nodes.step)
         accept(problem, trajectory, floor)
@@ -176,11 +175,11 @@ def _scouts(problem: Problem, restarts: int, failures: list[str]) -> list[tuple[
     return sorted(found, key=lambda scout: scout[0].duration)
 
 
-def settle(problem: Problem, model: Model, guess: Nodes, clear: set[Point], sign: int = 1, warm: bool = False) -> Nodes:
+def settle(problem: Problem, model: Model, guess: Nodes, clear: set[Point], warm: bool = False) -> Nodes:
     """Solve, add the constraints that the solution violates to ``clear``, and repeat until it violates none."""
     nodes = guess
     for _ in range(ROUNDS):
-        nodes, status = solve(problem, model, nodes, clear, sign, warm)
+        nodes, status = solve(problem, model, nodes, clear, warm)
         if status != SOLVED:
             raise Rejected(f"IPOPT did not converge ({status})")
         more, worst = violated(problem, nodes.state, nodes.steps, 0.6 * MARGIN)

@@ -97,10 +97,10 @@ def between_nodes(problem: Problem, trajectory: Trajectory, parts: int) -> Array
     return np.stack(passed, axis=1)
 
 
-def lift(mass: float, state: Array, force: Array, step: Array) -> Trajectory:
-    """Turn a point mass's flight into a first guess of the rigid body's: thrust along its force, no yaw, no rates.
+def lift(mass: float, state: Array, force: Array, step: Array, turns: int = 0) -> Trajectory:
+    """Turn a point mass's flight into a first guess of the rigid body's: thrust along its force, rates left at zero.
 
-    state (n + 1, 6) m, m/s; force (n, 3) m/s^2; step (s,) s.
+    state (n + 1, 6) m, m/s; force (n, 3) m/s^2; step (s,) s. The nose turns about the thrust, ``turns`` times in all.
     """
     size = np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-6)
     x, y, z = np.vstack([force / size, (force / size)[-1:]]).T
@@ -108,4 +108,6 @@ def lift(mass: float, state: Array, force: Array, step: Array) -> Trajectory:
     q /= np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-3)
     length = np.linalg.norm(q, axis=1, keepdims=True)
     q = np.where(length > 0.5, q, [0.0, 1.0, 0.0, 0.0])  # upside down: about x
+    half = np.pi * turns * np.linspace(0.0, 1.0, len(q))[:, None]
+    q = q * np.cos(half) + np.stack([-q[:, 3], q[:, 2], -q[:, 1], q[:, 0]], axis=1) * np.sin(half)
     return Trajectory(np.hstack([state, q, np.zeros((len(state), 3))]), np.tile(size * mass / 4, (1, 4)), step)

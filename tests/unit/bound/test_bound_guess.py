@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from srlrace.bound.clearance import smallest_gap
 from srlrace.bound.guess import piloted
 from srlrace.bound.problem import problem_of
-from srlrace.bound.trajectory import NODES
+from srlrace.bound.trajectory import NODES, lift
 from srlrace.hydra_bridge import compose
 from srlrace.world.flyable import clear_path
 
@@ -48,3 +48,17 @@ def test_a_path_that_misses_a_waypoint_is_no_guess(guessed):
     elsewhere = [leg + [0.0, 0.0, 1.0] for leg in path]
     with pytest.raises(ValueError, match="misses a waypoint"):
         piloted(problem, elsewhere)
+
+
+@pytest.mark.parametrize("turns", [1, -1, 2])
+def test_a_lifted_lap_turns_its_nose_and_not_its_thrust(turns):
+    force = np.random.default_rng(0).normal(0.0, 5.0, (4 * NODES, 3)) + [0.0, 0.0, 9.81]
+    mass, state, step = 0.75, np.zeros((len(force) + 1, 6)), np.full(4, 0.03)
+    straight, turned = (lift(mass, state, force, step, n) for n in (0, turns))
+    nose, level = (Rotation.from_quat(flight.state[:, 6:10], scalar_first=True) for flight in (turned, straight))
+    assert turned.thrust == pytest.approx(straight.thrust)
+    assert np.linalg.norm(turned.state[:, 6:10], axis=1) == pytest.approx(1)
+    angles = 2 * np.pi * turns * np.linspace(0.0, 1.0, len(state))
+    assert (level.inv() * nose).as_matrix() == pytest.approx(
+        Rotation.from_euler("z", angles[:, None]).as_matrix(), abs=1e-9
+    )
