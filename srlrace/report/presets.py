@@ -82,7 +82,15 @@ def _preset(group: str, option: str) -> tuple[dict[str, Any], bool]:
     path = conf_dir() / group / f"{option}.yaml"
     if "/" in option or not path.is_file():
         raise _Unknown
-    return _load(path)
+    content, everywhere = _load(path)
+    entries = content.get("defaults", [])
+    match entries:
+        case [str(base)] if not everywhere:  # the preset that it starts from
+            del content["defaults"]
+            content = _preset(group, base)[0] | content
+        case _ if any(isinstance(entry, str) for entry in entries):
+            raise _Unknown
+    return content, everywhere
 
 
 def _load(path: Path) -> tuple[dict[str, Any], bool]:
