@@ -19,12 +19,14 @@ from srlrace.world.levels import FIRST_UNSEEN_SEED, generate_map
 
 TRACKS = ("split_s", "split_s_cpc")  # with the obstacles of their presets, and without any
 LEVELS = ("1", "2", "3")
+TRAINING_MAPS = 1000  # of level=mixed: as many as the experiments train on, of which the preset's hundred are the first
 logger = logging.getLogger("srlrace.evaluation")
 
 
 def preset_maps() -> Iterator[tuple[Config, list[Map]]]:
     """Yield the maps of each preset, as many of the unseen ones as give `UNSEEN_MAPS` flyable ones and some more."""
-    for overrides in (["env=forest", "level=mixed"], ["env=forest", "level=none"], *([f"env={t}"] for t in TRACKS)):
+    mixed = ["env=forest", "level=mixed", f"level.maps={TRAINING_MAPS}"]
+    for overrides in (mixed, ["env=forest", "level=none"], *([f"env={t}"] for t in TRACKS)):
         config = compose(overrides)
         yield config, [generate_map(config.env, config.level, i) for i in range(config.level.maps)]
     config = compose(["env=split_s", "level=none"])
