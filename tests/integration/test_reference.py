@@ -25,27 +25,30 @@ def test_every_published_run_is_whole_and_named_by_its_content() -> None:
         assert run.state is State.FINISHED
         assert run_id(run.load_config()) == run.id
         assert run.info["steps"] >= run.load_config().algo.total_steps
-        assert run.evaluations["train_map"]["episodes"] == 1000
+        assert run.evaluations
+        assert all(evaluation["episodes"] == 1000 for evaluation in run.evaluations.values())
 
 
-@pytest.mark.parametrize("experiment", ["minimum_time", "ablation_safety", "ablation_terminal"])
+@pytest.mark.parametrize("experiment", ["minimum_time", "generalization", "ablation_safety", "ablation_terminal"])
 def test_the_readme_shows_what_they_say(experiment: str) -> None:
     _, report = read_report(REFERENCE)
     readme = (REFERENCE.parents[1] / "README.md").read_text()
     table = next(table for table in report.tables if table.experiment.name == experiment)
     for cell in table.cells:
         assert cell.numbers is not None
-        assert cell.numbers.time_s is not None
         assert f"{cell.numbers.finished}/{cell.numbers.episodes}" in readme
-        assert f"{cell.numbers.time_s.value:.2f}" in readme
+        assert cell.numbers.time_s is None or f"{cell.numbers.time_s.value:.2f}" in readme
 
 
-@pytest.mark.parametrize("track", ["forest", "split_s"])
-def test_a_published_policy_flies_as_published(track: str, tmp_path: Path) -> None:
-    published = next(run for run in list_runs(REFERENCE) if run.id.startswith(f"{track}-srl-"))
+@pytest.mark.parametrize(
+    ("kind", "suite"),
+    [("forest-srl-", "train_map"), ("split_s-srl-", "train_map"), ("forest-srl_tuned-facing-", "level2")],
+)
+def test_a_published_policy_flies_as_published(kind: str, suite: str, tmp_path: Path) -> None:
+    published = next(r for r in list_runs(REFERENCE) if r.id.startswith(kind) and suite in r.evaluations)
     copy = RunFolder(Path(shutil.copytree(published.path, tmp_path / published.id)))
-    evaluate_run(copy, EPISODES, record="none")
+    evaluate_run(copy, EPISODES, suite, record="none")
     columns = ["outcome", "time_s", "gates_passed"]
-    ours, theirs = (pd.read_csv(r.path / "eval/train_map/episodes.csv")[:EPISODES][columns] for r in (copy, published))
+    ours, theirs = (pd.read_csv(r.path / f"eval/{suite}/episodes.csv")[:EPISODES][columns] for r in (copy, published))
     assert (ours["outcome"] == theirs["outcome"]).mean() >= SAME
     assert ours["time_s"].mean() == pytest.approx(theirs["time_s"].mean(), rel=0.02)
