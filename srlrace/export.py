@@ -53,7 +53,7 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 
 def sb3_bytes(config: Config, policy: ActorCriticPolicy) -> bytes:
-    """The policy as ``PPO.load`` of Stable-Baselines3 takes it, without a class of srlrace in it."""
+    """The policy as a file of Stable-Baselines3's PPO, without a class of srlrace in it."""
     model = PPO("MlpPolicy", _Spaces(policy), policy_kwargs=policy_arguments(config.algo), device="cpu", n_steps=2,
                 batch_size=2, gamma=config.algo.gamma)  # fmt: skip
     model.policy.load_state_dict(policy.state_dict())

@@ -90,9 +90,9 @@ def _attempts(
     if free is not None:
         yield free.point_mass_time, partial(_give_way, problem, body, free.trajectory)
         yield from ((free.point_mass_time, partial(_hurry, problem, body, path)) for path in paths)
-        if found and not problem.lap:
-            return  # what is left is slow in a wood, and finds no better way than the paths
         if not problem.lap:
+            if found:
+                return  # what is left is slow in a wood, and finds no better way than the paths
             yield free.point_mass_time, partial(_grow, problem, body, free.trajectory)
     scouts = _scouts(problem, restarts, failures)
     for restart, (scout, clear) in enumerate(scouts):

@@ -25,7 +25,8 @@ def test_every_published_run_is_whole_and_named_by_its_content() -> None:
         assert run.state is State.FINISHED
         assert run_id(run.load_config()) == run.id
         assert run.info["steps"] >= run.load_config().algo.total_steps
-        assert run.evaluations
+        unseen = run.load_config().level.name == "mixed"
+        assert run.evaluations.keys() >= ({"level1", "level2", "level3"} if unseen else {"train_map"})
         assert all(evaluation["episodes"] == 1000 for evaluation in run.evaluations.values())
 
 
@@ -37,7 +38,11 @@ def test_the_readme_shows_what_they_say(experiment: str) -> None:
     for cell in table.cells:
         assert cell.numbers is not None
         assert f"{cell.numbers.finished}/{cell.numbers.episodes}" in readme
-        assert cell.numbers.time_s is None or f"{cell.numbers.time_s.value:.2f}" in readme
+        if experiment == "generalization" and cell.numbers.finished == 0:
+            assert cell.numbers.time_s is None
+        else:
+            assert cell.numbers.time_s is not None
+            assert f"{cell.numbers.time_s.value:.2f}" in readme
 
 
 @pytest.mark.parametrize(
