@@ -9,7 +9,7 @@
 # make unseen-references T_ref of the unseen maps, MAPS of each level (100), on from what is solved
 # make thrust-figure     the optimum against thrust-to-weight: table, and docs/images/thrust_to_weight.png
 # make certificates      fly a certificate of every map of the presets: srlrace/task/certificates.json
-# make reference         publish the finished runs: runs/* to runs/reference/*, without checkpoints and recordings
+# make reference         publish the finished runs: runs/* to runs/reference/*, packed, without checkpoints and recordings
 # make pictures           all pictures of the documentation, from the published runs (Chromium); its two halves:
 # make report-pictures    commands in the terminal, the report's page and figures, in docs/images
 # make replay-pictures    the replay's pictures in docs/images, from the published runs (Chromium)
@@ -75,12 +75,8 @@ vendor:
 	npm run --silent --prefix $(THREE) build
 	cp $(THREE)/node_modules/three/LICENSE $(THREE)/LICENSE
 
-reference:
-	@for policy in runs/*/policy.safetensors; do \
-		run=$$(dirname $$policy); target=runs/reference/$$(basename $$run); mkdir -p $$target; \
-		(cd $$run && cp --parents config.json run.json progress.csv policy.safetensors \
-			eval/*/episodes.csv eval/*/summary.json $$(ls eval/*/learning.json 2>/dev/null) $(CURDIR)/$$target); \
-	done
+reference: $(STAMP)
+	$(BIN)/python -m srlrace.report.publish runs runs/reference
 
 # The TypeScript MCAP reader, a test's independent witness; without npm that test is skipped.
 readers:

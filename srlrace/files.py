@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import os
 import re
 import secrets
 import stat
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
@@ -93,6 +96,19 @@ def read_limited(path: Path, limit: int = JSON_LIMIT) -> bytes:
             data += stream.read(limit + 1 - len(data))
     if len(data) > limit:
         raise FileError(f"cannot read {path}: larger than {limit} bytes")
+    return data
+
+
+def read_packed(path: Path, limit: int) -> bytes:
+    """Read a gzip file whose content has at most ``limit`` bytes; raises `FileError` as `read_limited` does."""
+    packed = read_limited(path, limit)
+    try:
+        with gzip.GzipFile(fileobj=BytesIO(packed)) as stream:
+            data = stream.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise FileError(f"cannot read {path}: not a whole gzip file ({error})") from None
+    if len(data) > limit:
+        raise FileError(f"cannot read {path}: larger than {limit} bytes when unpacked")
     return data
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from srlrace.config import Config, ConfigError, run_id, stored_config
-from srlrace.files import FileError, atomic_write, open_plain, read_json, read_limited, remove_leftovers
+from srlrace.files import FileError, atomic_write, open_plain, read_json, read_limited, read_packed, remove_leftovers
 from srlrace.locks import RunError, hold, holder
 from srlrace.parse import NAME
 from srlrace.provenance import provenance, versions
@@ -31,8 +31,9 @@ __all__ = ["RunError", "RunFolder", "State", "atomic_write", "find", "latest_fin
 
 TAIL = 8 * 2**10  # bytes of progress.csv that are read to find its last row
 EPISODES_LIMIT = 128 * 2**20  # bytes of episodes.csv: a million episodes
+TABLES = ("episodes.csv", "episodes.csv.gz")  # a suite's table of episodes; published runs have it packed
 DIGEST = "config_sha256"  # key in run.json: checksum of config.json
-TABLE_DIGEST = "episodes_sha256"  # key in summary.json: checksum of episodes.csv
+TABLE_DIGEST = "episodes_sha256"  # key in summary.json: checksum of episodes.csv, unpacked
 
 
 class State(StrEnum):
@@ -122,8 +123,9 @@ class RunFolder:
     def _older(self, suite: str) -> bool:
         folder = os.path.join(self.path, "eval", suite)  # noqa: PTH118
         try:
-            table, summary = (os.lstat(f"{folder}/{name}") for name in ("episodes.csv", "summary.json"))
-        except OSError:
+            name = next(name for name in TABLES if os.path.lexists(f"{folder}/{name}"))
+            table, summary = (os.lstat(f"{folder}/{name}") for name in (name, "summary.json"))
+        except (OSError, StopIteration):
             return False
         return table.st_mtime_ns <= summary.st_mtime_ns
 
@@ -133,13 +135,18 @@ class RunFolder:
         except (RunError, FileError):
             return False
 
+    def table(self, suite: str) -> Path:
+        """Where a suite's table of episodes is, or would be: the packed one only where there is no other."""
+        plain, packed = (self.file("eval", suite, name) for name in TABLES)
+        return packed if packed.is_file() and not plain.is_file() else plain
+
     def episodes(self, suite: str, summary: dict[str, Any] | None = None) -> bytes:
-        """``episodes.csv`` of a suite; raises `RunError` or `FileError` where it is not what was written.
+        """The table of a suite's episodes; raises `RunError` or `FileError` where it is not what was written.
 
         ``summary``: what stands in ``summary.json``, where that is known already.
         """
-        path = self.file("eval", suite, "episodes.csv")
-        table = read_limited(path, EPISODES_LIMIT)
+        path = self.table(suite)
+        table = (read_packed if path.suffix == ".gz" else read_limited)(path, EPISODES_LIMIT)
         summary = self.summary(suite) if summary is None else summary
         if TABLE_DIGEST in summary and summary[TABLE_DIGEST] != hashlib.sha256(table).hexdigest():
             raise RunError(f"{path}: damaged, or its evaluation was interrupted; repeat: srlrace eval --suite {suite}")

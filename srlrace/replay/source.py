@@ -112,7 +112,7 @@ def recorded_config(path: Path) -> Config:
 
 def _table(run: RunFolder, suite: str) -> pd.DataFrame | None:
     """The stored table of an evaluation, or None when there is none."""
-    path = run.file("eval", suite, "episodes.csv")
+    path = run.table(suite)
     if not path.is_file():
         return None
     try:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from srlrace.runs import RunError, RunFolder, State, list_runs
+from srlrace.runs import TABLES, RunError, RunFolder, State, list_runs
 from srlrace.schema import AlgoConfig, Config
 from srlrace.suites import definition, disturbance_of, suite_names
 
@@ -112,12 +112,12 @@ def _flown_suites(folder: RunFolder) -> list[str]:
     except OSError:
         return []
     known = [suite for suite in suite_names() if suite in present]
-    return [suite for suite in known if (folder.path / "eval" / suite / "episodes.csv").is_file()]
+    return [suite for suite in known if any((folder.path / "eval" / suite / name).is_file() for name in TABLES)]
 
 
 def read_evaluation(folder: RunFolder, suite: str, config: Config) -> Evaluation:
     """Read ``eval/<suite>``; raises OSError, ValueError or OverflowError with what is wrong."""
-    path = folder.file("eval", suite, "episodes.csv")
+    path = folder.table(suite)
     summary = folder.summary(suite)
     if summary.get("disturbance", {}) != definition(disturbance_of(suite)):
         raise ValueError(f"flown under another disturbance; repeat: srlrace eval {folder.id} --suite {suite}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from io import BytesIO
 from pathlib import Path
 
 import pandas as pd
@@ -54,6 +55,6 @@ def test_a_published_policy_flies_as_published(kind: str, suite: str, tmp_path: 
     copy = RunFolder(Path(shutil.copytree(published.path, tmp_path / published.id)))
     evaluate_run(copy, EPISODES, suite, record="none")
     columns = ["outcome", "time_s", "gates_passed"]
-    ours, theirs = (pd.read_csv(r.path / f"eval/{suite}/episodes.csv")[:EPISODES][columns] for r in (copy, published))
+    ours, theirs = (pd.read_csv(BytesIO(r.episodes(suite)))[:EPISODES][columns] for r in (copy, published))
     assert (ours["outcome"] == theirs["outcome"]).mean() >= SAME
     assert ours["time_s"].mean() == pytest.approx(theirs["time_s"].mean(), rel=0.02)

@@ -1,5 +1,6 @@
 """Run folders: state follows from files and a lock that dies with its holder; hostile folders do no harm."""
 
+import gzip
 import hashlib
 import json
 import multiprocessing
@@ -12,7 +13,7 @@ import time
 import pytest
 
 from srlrace.config import to_dict
-from srlrace.files import FileError, atomic_write, read_json, read_limited, write_sealed
+from srlrace.files import FileError, atomic_write, read_json, read_limited, read_packed, write_sealed
 from srlrace.hydra_bridge import compose
 from srlrace.runs import RunError, RunFolder, State, find, latest_finished, list_runs, provenance, runs_root
 from srlrace.tables import runs_table, runs_text
@@ -259,3 +260,34 @@ def test_a_list_leaves_out_the_summary_of_another_table(tmp_path):
     assert run.results == {}
     table.unlink()
     assert run.results == {}
+
+
+def test_a_packed_table_is_read_where_there_is_no_other(tmp_path):
+    run = evaluated(tmp_path)
+    plain, packed = (run.file("eval", "train_map", name) for name in ("episodes.csv", "episodes.csv.gz"))
+    whole = gzip.compress(plain.read_bytes())
+    packed.write_bytes(gzip.compress(b"an older evaluation's\n"))
+    assert run.table("train_map") == plain
+    plain.unlink()
+    with pytest.raises(RunError, match="damaged"):
+        run.episodes("train_map")
+    packed.write_bytes(whole)
+    os.utime(packed, ns=(0, 0))
+    assert run.episodes("train_map") == b"episode\n0\n"
+    assert list(run.evaluations) == list(run.results) == ["train_map"]
+
+
+@pytest.mark.parametrize(
+    ("packed", "reason"),
+    [
+        (b"no gzip", "not a whole gzip file"),
+        (gzip.compress(b"a" * 1000)[:-9], "not a whole gzip file"),
+        (b"\x1f\x8b\x08\x00" + bytes(6) + b"\xff\xff", "not a whole gzip file"),
+        (gzip.compress(bytes(1001)), "larger than 1000 bytes when unpacked"),
+    ],
+)
+def test_a_packed_table_cannot_be_anything(tmp_path, packed, reason):
+    path = tmp_path / "episodes.csv.gz"
+    path.write_bytes(packed)
+    with pytest.raises(FileError, match=reason):
+        read_packed(path, 1000)

@@ -13,7 +13,7 @@ from srlrace.report.model import Cell, Report, Table
 from srlrace.report.page.findings import seeds_of
 from srlrace.report.page.html import Html, scrolling, tag
 from srlrace.report.page.tables import cell_anchor
-from srlrace.runs import RunFolder
+from srlrace.runs import TABLES, RunFolder
 
 SETTINGS_SHOWN = 20_000  # characters; a track of ten thousand obstacles is not printed in full
 FACTS = (
@@ -101,7 +101,7 @@ def _versions(versions: Any) -> str:
 
 def _files(folder: RunFolder) -> Iterator[str]:
     names: list[tuple[str, ...]] = [("config.json",), ("run.json",), ("progress.csv",), ("policy.safetensors",)]
-    names += [("eval", suite, name) for suite in folder.evaluations for name in ("episodes.csv", "trajectories.mcap")]
+    names += [("eval", suite, name) for suite in folder.evaluations for name in (*TABLES, "trajectories.mcap")]
     for parts in names:
         path = folder.path.joinpath(*parts)
         if path.is_file():
