@@ -80,11 +80,9 @@ def brief(suite: str, summary: dict[str, Any]) -> str:
     """An evaluation in a few words."""
     outcomes = summary.get("outcomes")
     finished = outcomes.get("finished", 0) if isinstance(outcomes, dict) else "?"
-    return f"{suite} {finished}/{summary.get('episodes', '?')} in {_number(summary.get('time_mean_s'), '.2f')} s"
-
-
-def _number(value: object, form: str) -> str:
-    return format(value, form) if isinstance(value, int | float) else "-"
+    time = summary.get("time_mean_s")  # None where no flight finished
+    timed = f" in {time:.2f} s" if isinstance(time, int | float) else ""
+    return f"{suite} {finished}/{summary.get('episodes', '?')}{timed}"
 
 
 def evaluation_text(name: str, summary: dict[str, Any]) -> Text:

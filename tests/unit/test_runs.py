@@ -16,7 +16,7 @@ from srlrace.config import to_dict
 from srlrace.files import FileError, atomic_write, read_json, read_limited, read_packed, write_sealed
 from srlrace.hydra_bridge import compose
 from srlrace.runs import RunError, RunFolder, State, find, latest_finished, list_runs, provenance, runs_root
-from srlrace.tables import runs_table, runs_text
+from srlrace.tables import brief, runs_table, runs_text
 
 CONFIG = json.dumps(to_dict(compose([])))
 
@@ -291,3 +291,8 @@ def test_a_packed_table_cannot_be_anything(tmp_path, packed, reason):
     path.write_bytes(packed)
     with pytest.raises(FileError, match=reason):
         read_packed(path, 1000)
+
+
+def test_no_time_is_shown_where_no_flight_finished():
+    assert brief("level3", {"episodes": 1000, "outcomes": {}, "time_mean_s": None}) == "level3 0/1000"
+    assert brief("level3", {"episodes": 9, "outcomes": {"finished": 8}, "time_mean_s": 5}) == "level3 8/9 in 5.00 s"

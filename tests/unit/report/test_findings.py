@@ -1,0 +1,29 @@
+"""The report's sentences say what its cells say."""
+
+import pytest
+
+from srlrace.report.experiments import PaperCell
+from srlrace.report.model import Cell, Estimate, Numbers
+from srlrace.report.page.findings import _gap
+
+
+def cell(method: str, time_s: float | None, t_ref_s: float | None) -> Cell:
+    time = None if time_s is None else Estimate(time_s, time_s, time_s)
+    crash = Estimate(0.0, 0.0, 0.0)
+    numbers = Numbers(time, None, crash, None, 20.0, 9, 0, 9, (0,))
+    return Cell("Forest", method, "level1", PaperCell(None, None), "", numbers, t_ref_s)
+
+
+@pytest.mark.parametrize(
+    ("cells", "sentence"),
+    [
+        ([cell("a", 5.0, 4.0), cell("b", 6.0, 4.0)], " Slower than the best known time of 4.00 s by: a 25 %, b 50 %."),
+        (
+            [cell("a", 5.0, 4.0), cell("b", 7.5, 5.0), cell("none finished", None, 9.0), cell("unsolved", 7.0, None)],
+            " Slower than the best known times of 4.00 or 5.00 s by: a 25 %, b 50 %.",
+        ),
+        ([cell("unsolved", 7.0, None)], ""),
+    ],
+)
+def test_the_gap_names_the_reference_that_it_is_measured_from(cells: list[Cell], sentence: str) -> None:
+    assert _gap(cells) == sentence
