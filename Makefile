@@ -9,6 +9,7 @@
 # make unseen-references T_ref of the unseen maps, MAPS of each level (100), on from what is solved
 # make thrust-figure     the optimum against thrust-to-weight: table, and docs/images/thrust_to_weight.png
 # make certificates      fly a certificate of every map of the presets: srlrace/task/certificates.json
+# make starts            which starts of the evaluations nothing survives
 # make reference         publish the finished runs: runs/* to runs/reference/*, packed, without checkpoints and recordings
 # make pictures           all pictures of the documentation, from the published runs (Chromium); its two halves:
 # make report-pictures    commands in the terminal, the report's page and figures, in docs/images
@@ -23,7 +24,7 @@ STAMP := $(VENV)/.installed-$(shell cat pyproject.toml constraints.txt | cksum |
 NODE_MODULES := tests/readers/node_modules
 AXE := tests/browser/node_modules
 
-.PHONY: demo test lint bench bound unseen-references thrust-figure certificates pictures reference readers browser-tools replay-pictures report-pictures vendor cluster cluster-scaling soak clean
+.PHONY: demo test lint bench bound unseen-references thrust-figure certificates starts pictures reference readers browser-tools replay-pictures report-pictures vendor cluster cluster-scaling soak clean
 
 demo: $(STAMP)
 	$(BIN)/srlrace train env=forest algo.total_steps=15_000_000
@@ -74,6 +75,12 @@ vendor:
 	npm ci --silent --no-audit --no-fund --prefix $(THREE)
 	npm run --silent --prefix $(THREE) build
 	cp $(THREE)/node_modules/three/LICENSE $(THREE)/LICENSE
+
+starts: $(STAMP)
+	for suite in level1 level2 level3; do \
+		$(BIN)/python -m srlrace.evaluation.starts env=forest level=mixed --suite $$suite || exit; done
+	for track in forest split_s; do \
+		$(BIN)/python -m srlrace.evaluation.starts env=$$track --suite train_map || exit; done
 
 reference: $(STAMP)
 	$(BIN)/python -m srlrace.report.publish runs runs/reference
