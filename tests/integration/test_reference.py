@@ -46,6 +46,20 @@ def test_the_readme_shows_what_they_say(experiment: str) -> None:
             assert f"{cell.numbers.time_s.value:.2f}" in readme
 
 
+@pytest.mark.parametrize("experiment", ["robustness"])
+def test_the_page_on_clutter_shows_what_they_say(experiment: str) -> None:
+    _, report = read_report(REFERENCE)
+    page = (REFERENCE.parents[1] / "docs" / "clutter.md").read_text()
+    table = next(table for table in report.tables if table.experiment.name == experiment)
+    for cell in table.cells:
+        assert cell.numbers is not None
+        crash = cell.numbers.crash_pct
+        assert f"{crash.value:.1f} [{crash.low:.1f}, {crash.high:.1f}]" in page
+    for comparison in table.comparisons:
+        difference = comparison.difference
+        assert f"{difference.value:.1f} [{difference.low:.1f}, {difference.high:.1f}]" in page
+
+
 @pytest.mark.parametrize(
     ("kind", "suite"),
     [("forest-srl-", "train_map"), ("split_s-srl-", "train_map"), ("forest-srl_tuned-facing-", "level2")],
