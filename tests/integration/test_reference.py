@@ -46,7 +46,7 @@ def test_the_readme_shows_what_they_say(experiment: str) -> None:
             assert f"{cell.numbers.time_s.value:.2f}" in readme
 
 
-@pytest.mark.parametrize("experiment", ["training_maps", "robustness"])
+@pytest.mark.parametrize("experiment", ["training_maps", "robustness", "observation_ablation"])
 def test_the_page_on_clutter_shows_what_they_say(experiment: str) -> None:
     _, report = read_report(REFERENCE)
     page = (REFERENCE.parents[1] / "docs" / "clutter.md").read_text()
