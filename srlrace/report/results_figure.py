@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 Flown = Mapping[str, Sequence[Evaluation]]  # evaluations of each seed, by method
 
 BINS = 40
+LABEL_WIDTH = 32  # characters of a method's name in a line: more would leave no room for what is drawn
 GATES = 40  # waypoints passed that a picture tells apart; more count as so many
 TAILS = (0.5, 99.5)  # percentiles between which a histogram is drawn
 PAPER_KEY = Key("the paper's", INK, marker="D")
@@ -71,7 +73,7 @@ def _draw_estimates(cells: Sequence[Cell], quantity: str, axes: Axes) -> None:
     position, environment = 0.0, ""
     for cell in cells:
         position += 0.0 if not labels else 1.0 if cell.environment == environment else 1.7
-        labels.append((position, cell.method))
+        labels.append((position, fill(cell.method, LABEL_WIDTH)))
         if cell.environment != environment:
             environment = cell.environment
             axes.annotate(environment, (0, position - 0.55), xycoords=("axes fraction", "data"), color=INK,
