@@ -83,7 +83,7 @@ def scene_obstacle(obstacle: Obstacle) -> SceneObstacle:
 
 def fly(policy: ActorCriticPolicy, suite: Suite, episodes: int, recorded: int) -> tuple[Race, History | None]:
     """Fly ``episodes`` episodes of the suite to their ends, keeping the trajectories of the first ``recorded``."""
-    race = suite.race(episodes)
+    race = suite.race(np.arange(episodes))
     observation = race.reset()
     history = History(race, recorded) if recorded else None
     flying = np.ones(episodes, np.bool_)

@@ -16,11 +16,13 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from srlrace.config import ConfigError
 from srlrace.console import setup_logging
-from srlrace.evaluation.suites import EVALUATION_SEED, Suite, make_suite
+from srlrace.evaluation.suites import Suite, make_suite
 from srlrace.hydra_bridge import compose
+from srlrace.runs import RunError
 from srlrace.task.arrays import FLYING
-from srlrace.task.race import Race, RaceMode
+from srlrace.task.race import Race
 
 LASTING = 0.8  # s; who hits what stands beside the start has done so by then
 PLANS = 4096  # sequences of actions a round
@@ -39,8 +41,7 @@ def lost_starts(suite: Suite, episodes: Iterable[int], seed: int = 0) -> list[in
     steps = round(LASTING / suite.config.sim.control_period)
     left = np.array(list(episodes))
     for _ in range(ROUNDS):  # most starts need no search
-        race = _race(suite, left)
-        lived = fly_plans(race, random_plans(rng, steps, len(left)))
+        lived = fly_plans(suite.race(left), random_plans(rng, steps, len(left)))
         left = left[lived < steps]
     return [episode for episode in left.tolist() if not _survivable(suite, episode, rng, steps)]
 
@@ -53,7 +54,7 @@ def _survivable(suite: Suite, episode: int, rng: np.random.Generator, steps: int
             half = PLANS // 2
             keep = rng.random((steps, half, 1)) < KEPT
             plans[:, :half] = np.where(keep, elite[:, rng.integers(0, ELITE, half)], plans[:, :half])
-        lived = fly_plans(_race(suite, np.full(PLANS, episode)), plans)
+        lived = fly_plans(suite.race(np.full(PLANS, episode)), plans)
         if lived.max() >= steps:
             return True
         elite = plans[:, np.argsort(lived)[-ELITE:]]
@@ -85,14 +86,19 @@ def fly_plans(race: Race, plans: NDArray[np.float32]) -> NDArray[np.int64]:
     return lived
 
 
-def _race(suite: Suite, episodes: NDArray[np.int64]) -> Race:
-    return Race(suite.config, RaceMode.evaluation(EVALUATION_SEED, episodes), suite.field)
+def main(arguments: list[str]) -> None:
+    """Search a suite of a configuration: overrides, ``--suite``, its name."""
+    if len(arguments) < 2 or arguments[-2] != "--suite":
+        raise SystemExit("usage: python -m srlrace.evaluation.starts [OVERRIDE ...] --suite NAME")
+    *overrides, _, name = arguments
+    try:
+        suite = make_suite(compose(overrides), name)
+    except (ConfigError, RunError) as error:
+        raise SystemExit(str(error)) from None
+    lost = lost_starts(suite, range(1000))
+    logger.info("%s: %d of 1000 starts are survived by no sequence of actions: %s", name, len(lost), lost)
 
 
 if __name__ == "__main__":
-    *overrides, option, name = sys.argv[1:]
-    if option != "--suite":
-        raise SystemExit(__doc__)
-    lost = lost_starts(make_suite(compose(overrides), name), range(1000))
     setup_logging()
-    logger.info("%s: %d of 1000 starts are survived by no sequence of actions: %s", name, len(lost), lost)
+    main(sys.argv[1:])

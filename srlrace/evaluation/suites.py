@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from srlrace.config import Config, ConfigError, LevelConfig
 from srlrace.evaluation.disturbance import DisturbedRace, periods
@@ -36,9 +37,9 @@ class Suite:
     field: ObstacleField
     disturbance: DisturbanceConfig = NOMINAL
 
-    def race(self, episodes: int) -> Race:
-        """Return a race of the first ``episodes`` episodes, not reset yet."""
-        mode = RaceMode.evaluation(EVALUATION_SEED, np.arange(episodes))
+    def race(self, episodes: NDArray[np.int64]) -> Race:
+        """Return a race of these episodes, a drone each, not reset yet."""
+        mode = RaceMode.evaluation(EVALUATION_SEED, episodes)
         if self.disturbance == NOMINAL:
             return Race(self.config, mode, self.field)
         return DisturbedRace(self.config, mode, self.field, self.disturbance)
