@@ -238,6 +238,9 @@ class AlgoConfig:
     policy_layers: tuple[int, ...] = setting("hidden layers of the policy", low=1, high=8192, least=1, most=16)
     value_layers: tuple[int, ...] = setting("hidden layers of the value function", low=1, high=8192, least=1, most=16)
     activation: str = setting("activation of the hidden layers", choices=("relu", "tanh", "elu"))
+    noise_correlation: float = setting(
+        "correlation of the exploration noise from step to step; 0: white noise", low=0.0, high=0.999, default=0.0
+    )
     threads: int = setting("torch threads, pinned", low=1, high=256, default=1)
 
 

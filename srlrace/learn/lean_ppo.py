@@ -30,6 +30,8 @@ class LeanPPO(PPO):
     All parameters, and Adam's two moments of their gradients, are parts of one vector each.
     """
 
+    noise_correlation = 0.0  # of the exploration noise, from one step to the next; SB3's is white
+
     def _setup_model(self) -> None:
         super()._setup_model()
         parameters = list(self.policy.parameters())
@@ -63,7 +65,7 @@ class LeanPPO(PPO):
         callback.on_rollout_start()
         self.networks.load(self.parameters)
         buffer, truncated = rollout_buffer, []
-        noise = torch.randn(n_rollout_steps, env.num_envs, *box.shape).numpy()
+        noise = correlate(torch.randn(n_rollout_steps, env.num_envs, *box.shape).numpy(), self.noise_correlation)
         deviation = noise * self.policy.log_std.exp().numpy()
         for step in range(n_rollout_steps):
             buffer.observations[step] = self._last_obs
@@ -162,3 +164,15 @@ class LeanPPO(PPO):
             "std": float(self.policy.log_std.exp().mean()),
         }.items():
             self.logger.record(f"train/{name}", value)
+
+
+def correlate(noise: Floats, correlation: float) -> Floats:
+    """Let standard normal noise (steps, ...) remember its last value, in place: a first-order autoregression.
+
+    Every value alone stays standard normal, so the densities of actions given states do not change.
+    """
+    if correlation > 0.0:
+        fresh = np.float32((1.0 - correlation**2) ** 0.5)
+        for step in range(1, len(noise)):
+            noise[step] = np.float32(correlation) * noise[step - 1] + fresh * noise[step]
+    return noise

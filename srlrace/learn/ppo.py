@@ -50,6 +50,8 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
         seed=config.seed,
         device="cpu",
     )
+    if isinstance(model, LeanPPO):
+        model.noise_correlation = algo.noise_correlation
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model

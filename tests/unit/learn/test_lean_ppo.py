@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from srlrace.hydra_bridge import compose
-from srlrace.learn.lean_ppo import LeanPPO
+from srlrace.learn.lean_ppo import LeanPPO, correlate
 from srlrace.learn.ppo import build_ppo
 from srlrace.task.vec_env import RaceVecEnv
 
@@ -122,3 +122,24 @@ def test_the_log_density_is_that_of_the_gaussian() -> None:
     with torch.no_grad():
         _, log_prob, _ = model.policy.evaluate_actions(observation, action)
     np.testing.assert_allclose(buffer.log_probs.flatten(), log_prob.numpy(), rtol=1e-4, atol=1e-4)
+
+
+def test_correlated_noise_is_standard_normal_and_remembers_as_much_as_asked() -> None:
+    white = np.random.default_rng(0).standard_normal((400, 200, 4)).astype(np.float32)
+    noise = correlate(white.copy(), 0.6)
+    for lag, expected in ((0, 1.0), (1, 0.6), (2, 0.36), (10, 0.6**10)):
+        covariance = np.mean(noise[lag:] * noise[: len(noise) - lag])
+        np.testing.assert_allclose(covariance, expected, atol=0.01)
+    np.testing.assert_allclose(noise[0].std(), 1.0, atol=0.05)
+    np.testing.assert_array_equal(correlate(white.copy(), 0.0), white)
+
+
+def test_a_rollout_explores_with_the_configured_correlation_and_knows_its_densities() -> None:
+    model, _ = rolled_out("algo.noise_correlation=0.8")
+    buffer = model.rollout_buffer
+    with torch.no_grad():
+        means = model.policy.get_distribution(torch.from_numpy(buffer.observations.reshape(-1, buffer.obs_shape[0])))
+    noise = buffer.actions - means.distribution.mean.numpy().reshape(buffer.actions.shape)
+    noise = noise / model.policy.log_std.exp().detach().numpy()
+    np.testing.assert_allclose(np.mean(noise[1:] * noise[:-1]), 0.8, atol=0.1)
+    np.testing.assert_allclose(buffer.log_probs, model._log_prob(noise), rtol=1e-3, atol=1e-3)
