@@ -95,8 +95,9 @@ def test_other_options_of_sbatch():
 
 
 def test_resources_have_sensible_defaults(tmp_path, config):
-    small, large = config(), config("algo.n_envs=10000", "algo.threads=4")
-    pace = Pace({"": 1000.0}, 1)  # 25 M steps: seven hours
+    steps = "algo.total_steps=25_000_000"
+    small, large = config(steps), config(steps, "algo.n_envs=10000", "algo.threads=4")
+    pace = Pace({"": 1000.0}, 1)  # seven hours a run
     filled = Resources().fill([job(tmp_path, small)], Pace({}, 0))
     assert (filled.cores, filled.memory_gb, filled.minutes) == (1, 2, 30)
     filled = Resources().fill([job(tmp_path, small), job(tmp_path, large)], pace)
