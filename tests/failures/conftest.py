@@ -10,8 +10,7 @@ import pytest
 import zygote as zygotes
 from invariants import results
 from kinds import words
-
-SOAK = os.environ.get("SRLRACE_SOAK") == "1"
+from soak import SOAKED
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +23,7 @@ def zygote() -> Iterator[zygotes.Zygote]:
 @pytest.fixture(scope="session")
 def much() -> Callable[[int, int], int]:
     """How much of something to do: so much in the default tests, so much in the soak."""
-    return lambda small, full: full if SOAK else small
+    return lambda small, full: full if SOAKED else small
 
 
 @pytest.fixture
@@ -61,7 +60,7 @@ def say(pytestconfig: pytest.Config) -> Callable[[str], None]:
     captures = pytestconfig.pluginmanager.get_plugin("capturemanager")
 
     def tell(text: str) -> None:
-        if SOAK and reporter:
+        if SOAKED and reporter:
             with captures.global_and_fixture_disabled():  # else it is said where a test fails, and only there
                 reporter.write_line(f"  {text}")
 

@@ -14,11 +14,11 @@ import pytest
 from faults import ERRORS, Faults
 from invariants import check_root, leftovers, results
 from kinds import words
+from soak import SOAKED
 
 from srlrace import cli
 
 SHORT = words("short")
-SOAKED = os.environ.get("SRLRACE_SOAK") == "1"
 
 
 @pytest.fixture

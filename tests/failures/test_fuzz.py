@@ -12,6 +12,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.console import Console
+from soak import SOAKED
 
 from srlrace.catalogue import GROUPS, SETTINGS, choices
 from srlrace.config import Config, parse_config, to_dict
@@ -24,7 +25,6 @@ from srlrace.report.collect import collect
 from srlrace.runs import RunError, list_runs
 from srlrace.tables import run_page, runs_table
 
-SOAKED = os.environ.get("SRLRACE_SOAK") == "1"
 NAMES = st.sampled_from([*SETTINGS, *GROUPS, "hydra.run.dir", "hydra/launcher", "_target_", "+x", "~seed", "--cfg", ""])
 WORDS = st.one_of(
     st.sampled_from(["1", "-1", "1e400", "nan", "true", "[1,2]", "{a:1}", "${seed}", "1,2", "''", "!!x", "../x", "@"]),

@@ -11,13 +11,13 @@ from statistics import median
 import pytest
 from invariants import check_root, leftovers, results, saved, wait_for_progress
 from kinds import KINDS, ROLLOUT, words
+from soak import SOAKED
 
 from srlrace.hydra_bridge import compose
 from srlrace.learn.checkpoint import load_checkpoint
 from srlrace.learn.train import Training, train
 from srlrace.recording import read_states, recover
 
-SOAKED = os.environ.get("SRLRACE_SOAK") == "1"
 FEW = ("buffers", "randomized", "mixed", "laps")  # between them, all that a training remembers
 LONGEST = 0.9  # s that a process is left alone before it is killed, at most
 SAVE_OFTEN = {"srlrace.learn.train:SAVE_EVERY": 0.0}

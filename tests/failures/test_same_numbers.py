@@ -14,6 +14,7 @@ import pytest
 import torch
 from invariants import results
 from kinds import ROLLOUT, words
+from soak import SOAKED
 
 from srlrace.hydra_bridge import compose
 from srlrace.learn import train as training
@@ -21,7 +22,6 @@ from srlrace.learn.checkpoint import load_checkpoint
 from srlrace.learn.train import Diverged, train
 from srlrace.provenance import changes, circumstances
 
-SOAKED = os.environ.get("SRLRACE_SOAK") == "1"
 TRAIN_AND_FLY = """
 import sys
 from srlrace import cli
