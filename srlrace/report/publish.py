@@ -1,10 +1,11 @@
 """Copies finished runs to where they are published: all that a reader can check a number by, and small.
 
 Run it as ``make reference``. Checkpoints, recordings and locks stay behind; tables of episodes are packed, and
-``progress.csv`` keeps every fourth row: a learning curve is drawn from fewer.
+``progress.csv`` keeps at most `ROWS` rows: a learning curve is drawn from fewer.
 """
 
 import gzip
+import math
 import sys
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from srlrace.files import atomic_write, read_limited
 from srlrace.report.learning_figure import PROGRESS_LIMIT
 from srlrace.runs import TABLES, RunFolder, State, list_runs
 
-KEPT = 4  # one in so many rows of progress.csv, and the last
+ROWS = 150  # of progress.csv, evenly spaced
 WHOLE = ("config.json", "run.json", "policy.safetensors")  # files that are copied as they are
 POLICY_LIMIT = 64 * 2**20  # bytes
 
@@ -33,9 +34,10 @@ def publish(run: RunFolder, target: Path) -> None:
 
 
 def thinned(progress: bytes) -> bytes:
-    """Return the header of a ``progress.csv``, one in `KEPT` of its rows, and the last."""
+    """Return the header of a ``progress.csv`` and at most `ROWS` of its rows: one in so many, counted from the last."""
     header, *rows = progress.splitlines(keepends=True)
-    return b"".join([header, *rows[KEPT - 1 :: KEPT], *(rows[-1:] if len(rows) % KEPT else [])])
+    spacing = max(1, math.ceil(len(rows) / ROWS))
+    return b"".join([header, *rows[(len(rows) - 1) % spacing :: spacing]])
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -1,5 +1,7 @@
 """Published runs say what the runs themselves say, in less room."""
 
+from itertools import pairwise
+
 import pytest
 
 from srlrace.report.collect import collect
@@ -30,7 +32,11 @@ def test_a_published_run_has_the_episodes_of_the_run(lab, tmp_path):
     assert (target / "eval" / "level2" / "episodes.csv.gz").read_bytes() == before
 
 
-def test_of_a_learning_curve_every_fourth_row_and_the_last_are_kept():
-    rows = [b"%d,0.5\n" % step for step in range(1, 11)]
-    kept = thinned(b"".join([b"steps,success_ratio\n", *rows])).splitlines()
-    assert kept == [b"steps,success_ratio", b"4,0.5", b"8,0.5", b"10,0.5"]
+@pytest.mark.parametrize(("rows", "kept"), [(1, 1), (150, 150), (151, 76), (1000, 143)])
+def test_a_learning_curve_is_thinned_once_and_ends_where_it_ended(rows, kept):
+    progress = [b"%d,0.5\n" % step for step in range(1, rows + 1)]
+    header, *left = (once := thinned(b"".join([b"steps,success_ratio\n", *progress]))).splitlines(keepends=True)
+    assert (header, left[-1], len(left)) == (b"steps,success_ratio\n", progress[-1], kept)
+    steps = [int(row.split(b",")[0]) for row in left]
+    assert len({b - a for a, b in pairwise(steps)}) <= 1
+    assert thinned(once) == once
