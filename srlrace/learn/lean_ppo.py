@@ -169,7 +169,8 @@ class LeanPPO(PPO):
 def correlate(noise: Floats, correlation: float) -> Floats:
     """Let standard normal noise (steps, ...) remember its last value, in place: a first-order autoregression.
 
-    Every value alone stays standard normal, so the densities of actions given states do not change.
+    Every value alone stays standard normal, so the densities of actions given states do not change. After Hollenstein
+    et al., "Colored Noise in PPO" (AAAI 2024), who colour it by its spectrum.
     """
     if correlation > 0.0:
         fresh = np.float32((1.0 - correlation**2) ** 0.5)
