@@ -46,10 +46,18 @@ def test_the_readme_shows_what_they_say(experiment: str) -> None:
             assert f"{cell.numbers.time_s.value:.2f}" in readme
 
 
-@pytest.mark.parametrize("experiment", ["training_maps", "robustness", "observation_ablation"])
-def test_the_page_on_clutter_shows_what_they_say(experiment: str) -> None:
+@pytest.mark.parametrize(
+    ("experiment", "name"),
+    [
+        ("training_maps", "clutter"),
+        ("robustness", "clutter"),
+        ("observation_ablation", "clutter"),
+        ("song_observations", "reproduce"),
+    ],
+)
+def test_a_page_shows_what_they_say(experiment: str, name: str) -> None:
     _, report = read_report(REFERENCE)
-    page = (REFERENCE.parents[1] / "docs" / "clutter.md").read_text()
+    page = (REFERENCE.parents[1] / "docs" / f"{name}.md").read_text()
     table = next(table for table in report.tables if table.experiment.name == experiment)
     for cell in table.cells:
         assert cell.numbers is not None
