@@ -21,6 +21,7 @@ Flown = Mapping[str, Sequence[Evaluation]]  # evaluations of each seed, by metho
 
 BINS = 40
 LABEL_WIDTH = 32  # characters of a method's name in a line: more would leave no room for what is drawn
+HEADING_WIDTH = 30  # characters; longer names of environments reach back over the names of methods
 GATES = 40  # waypoints passed that a picture tells apart; more count as so many
 TAILS = (0.5, 99.5)  # percentiles between which a histogram is drawn
 PAPER_KEY = Key("the paper's", INK, marker="D")
@@ -71,13 +72,14 @@ def flights_plot(methods: Flown, name: str, title: str, reference_s: float | Non
 def _draw_estimates(cells: Sequence[Cell], quantity: str, axes: Axes) -> None:
     labels: list[tuple[float, str]] = []
     position, environment = 0.0, ""
+    x, side = (0, "left") if max(len(cell.environment) for cell in cells) <= HEADING_WIDTH else (1, "right")
     for cell in cells:
         position += 0.0 if not labels else 1.0 if cell.environment == environment else 1.7
         labels.append((position, fill(cell.method, LABEL_WIDTH)))
         if cell.environment != environment:
             environment = cell.environment
-            axes.annotate(environment, (0, position - 0.55), xycoords=("axes fraction", "data"), color=INK,
-                          fontsize=8.5, fontweight="bold", va="bottom")  # fmt: skip
+            axes.annotate(environment, (x, position - 0.55), xycoords=("axes fraction", "data"), color=INK, ha=side,
+                          fontsize=8.5, fontweight="bold", va="bottom", in_layout=side == "left")  # fmt: skip
         _draw_estimate(axes, position, cell, quantity)
     axes.set_yticks([at for at, _ in labels], [text for _, text in labels])
     axes.tick_params(axis="y", length=0)

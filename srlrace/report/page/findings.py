@@ -66,7 +66,7 @@ def _fastest(cells: Sequence[Cell]) -> str:
         else ""
     )
     count = f"{finished.finished} of {finished.episodes} flights finished"
-    return f"{first.method} is fastest at {_with_interval(best, 's')} ({count}){versus}."
+    return f"{first.method} is fastest at {_with_interval(best, 's')} ({count}){versus}".removesuffix(".") + "."
 
 
 def _safest(cells: Sequence[Cell]) -> str:

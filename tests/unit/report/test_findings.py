@@ -4,7 +4,7 @@ import pytest
 
 from srlrace.report.experiments import PaperCell
 from srlrace.report.model import Cell, Estimate, Numbers
-from srlrace.report.page.findings import _gap
+from srlrace.report.page.findings import _fastest, _gap
 
 
 def cell(method: str, time_s: float | None, t_ref_s: float | None) -> Cell:
@@ -27,3 +27,8 @@ def cell(method: str, time_s: float | None, t_ref_s: float | None) -> Cell:
 )
 def test_the_gap_names_the_reference_that_it_is_measured_from(cells: list[Cell], sentence: str) -> None:
     assert _gap(cells) == sentence
+
+
+def test_a_name_that_ends_in_a_full_stop_ends_the_sentence() -> None:
+    cells = [cell("srl", 5.0, None), cell("Song et al.", 5.0, None)]
+    assert _fastest(cells).endswith("(9 of 9 flights finished), not clearly ahead of Song et al.")
