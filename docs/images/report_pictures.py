@@ -21,6 +21,7 @@ from srlrace.runs import RunFolder, list_runs
 from srlrace.watch import look, picture
 
 COLUMNS = 104  # characters of a terminal's line
+LINES = 36  # of a terminal that follows a sweep
 INSTANT = 0.6  # of a training, at which its panel is shown
 SHOTS = {  # of the page: CSS pixels, colours, and which part
     "report": ((1280, 900), "light", "#summary"),
@@ -44,7 +45,7 @@ def main(runs: Path, images: Path) -> None:
     console.print(terminal_table(read_report(runs)[1].tables[0]))
     save(console, images / "cli-report.svg", "srlrace report")
     console = terminal()
-    console.print(picture([look(run) for run in folders]))
+    console.print(picture([look(run) for run in folders], LINES, COLUMNS))
     save(console, images / "cli-runs.svg", "srlrace runs --watch")
     console = terminal()
     console.print(training(folders[0]))
