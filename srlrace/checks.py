@@ -30,6 +30,9 @@ def _check_curriculum(curriculum: CurriculumConfig) -> None:
     if staged > 1.0:
         others = "curriculum.memory_starts and curriculum.retry_starts"
         raise ConfigError(f"curriculum.gate_starts: with {others} it makes {staged:g}; takes at most 1")
+    again = curriculum.retry_starts + curriculum.hard_starts
+    if again > 1.0:
+        raise ConfigError(f"curriculum.hard_starts: with curriculum.retry_starts it makes {again:g}; takes at most 1")
     for first, last in (("cost_hold", "cost_ramp"), ("staged_hold", "staged_end"), ("ease_hold", "ease_end")):
         begin, end = getattr(curriculum, first), getattr(curriculum, last)
         if begin > end:

@@ -213,6 +213,9 @@ class CurriculumConfig:
     waypoint_ease: float = setting("waypoints are larger by this at first", unit="m", low=0.0, high=100.0, default=0.0)
     ease_hold: float = setting("share of training during which both keep that", low=0.0, high=1.0, default=0.0)
     ease_end: float = setting("share of training after which both are true to size", low=0.0, high=1.0, default=0.0)
+    hard_starts: float = setting(
+        "share of resets from where a flight was two passings before it crashed", low=0.0, high=1.0, default=0.0
+    )
 
 
 @dataclass(frozen=True)

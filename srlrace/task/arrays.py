@@ -69,6 +69,7 @@ class Rules(NamedTuple):
     gate_starts: float  # share of resets near a random waypoint
     memory_starts: float  # share of resets from a remembered passing
     retry_starts: float  # share of resets from the start of an earlier episode that failed
+    hard_starts: float  # share of resets from where a drone was two passings before it crashed
     autoreset: bool
     wind: Floats  # (3, n) m/s, world; (3, 0) in still air
 
@@ -89,15 +90,23 @@ class Fleet(NamedTuple):
     parked: NDArray[np.bool_]  # (n,) episode over and no autoreset
     streams: NDArray[np.uint64]  # (2, n) random numbers
     start_streams: NDArray[np.uint64]  # (2, n) as they were before the episode's start was drawn
+    rehearsing: NDArray[np.bool_]  # (n,) started from a hard passing
 
 
 class Memory(NamedTuple):
-    """States in which earlier episodes passed a waypoint, one ring per target; starts of failed episodes, one ring."""
+    """What resets remember of earlier episodes.
+
+    States in which they passed a waypoint, one ring per target; starts of failed ones, one ring; where drones were two
+    passings before they crashed, one ring. A record ends with its target where its ring does not say it.
+    """
 
     record: Floats  # (k, capacity, record size)
     count: NDArray[np.int64]  # type: ignore[assignment]  # (k,) passings ever written to each ring; hides tuple.count
     failed: NDArray[np.uint64]  # (2, capacity) streams from which such a start was drawn
     failures: NDArray[np.int64]  # (1,) failed starts ever written
+    trail: Floats  # (n, 2, record size + 1): each drone at its last two passings, or at its start
+    hard: Floats  # (capacity, record size + 1): passings that were followed by another one and a crash
+    hards: NDArray[np.int64]  # (1,) such passings ever written
 
 
 class Output(NamedTuple):

@@ -105,6 +105,7 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         gate_starts=config.curriculum.gate_starts if mode.curriculum else 0.0,
         memory_starts=config.curriculum.memory_starts if mode.curriculum else 0.0,
         retry_starts=config.curriculum.retry_starts if mode.curriculum else 0.0,
+        hard_starts=config.curriculum.hard_starts if mode.curriculum else 0.0,
         autoreset=mode.autoreset,
         wind=np.zeros((3, 0), dtype),
     )
@@ -129,19 +130,24 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         parked=np.zeros(n, np.bool_),
         streams=make_streams(mode.seed, mode.members),
         start_streams=np.zeros((2, n), np.uint64),
+        rehearsing=np.zeros(n, np.bool_),
     )
 
 
-def make_memory(config: Config, rules: Rules, dtype: DTypeLike) -> Memory:
+def make_memory(config: Config, rules: Rules, n: int, dtype: DTypeLike) -> Memory:
     """Allocate what resets remember; one entry where they never look."""
     targets, size = len(rules.sequence), record_size(len(config.env.waypoints))
     passings = config.curriculum.memory_size if rules.memory_starts > 0.0 else 1
     failures = config.curriculum.memory_size if rules.retry_starts > 0.0 else 1
+    trails, crashes = (n, config.curriculum.memory_size) if rules.hard_starts > 0.0 else (0, 0)
     return Memory(
         record=np.zeros((targets, passings, size), dtype),
         count=np.zeros(targets, np.int64),
         failed=np.zeros((2, failures), np.uint64),
         failures=np.zeros(1, np.int64),
+        trail=np.zeros((trails, 2, size + 1), dtype),
+        hard=np.zeros((crashes, size + 1), dtype),
+        hards=np.zeros(1, np.int64),
     )
 
 
@@ -205,7 +211,7 @@ class Race:
         self.n = len(mode.members)
         self.observation_size = observation_size(config.observation)
         self.fleet = make_fleet(self.rules, mode, dtype)
-        self.memory = make_memory(config, self.rules, dtype)
+        self.memory = make_memory(config, self.rules, self.n, dtype)
         self.output = make_output(self.rules, self.n, self.observation_size, dtype)
         nearest = config.observation.obstacles
         self._scratch = Scratch(
@@ -233,6 +239,7 @@ class Race:
         self.rules = self.rules._replace(
             gate_starts=curriculum.gate_starts * phase.staged,
             memory_starts=curriculum.memory_starts * phase.staged,
+            hard_starts=curriculum.hard_starts * (1.0 - phase.staged),
             keep_out=self.config.keep_out - curriculum.obstacle_ease * phase.ease,
             passing_radius=self.config.env.passing_radius + curriculum.waypoint_ease * phase.ease,
         )
@@ -304,6 +311,8 @@ class Race:
         targets, maps, size = len(self.rules.sequence), self.rules.slots, self.memory.record.shape[1]
         count, record = arrays["memory.count"], arrays["memory.record"]
         written = np.concatenate([record[k, : min(max(count[k], 0), size)] for k in range(targets)])
+        hard, trail = arrays["memory.hard"], arrays["memory.trail"]
+        noted = np.concatenate([hard[: max(arrays["memory.hards"][0], 0)], trail.reshape(-1, hard.shape[1])])
         checked = {
             "fleet.target": (arrays["fleet.target"], targets),
             "fleet.first_target": (arrays["fleet.first_target"], targets),
@@ -311,6 +320,10 @@ class Race:
             "fleet.steps": (arrays["fleet.steps"], self.rules.horizon_steps),
             "memory.count": (count, np.iinfo(np.int64).max),
             "memory.failures": (arrays["memory.failures"], np.iinfo(np.int64).max),
+            "memory.hards": (arrays["memory.hards"], np.iinfo(np.int64).max),
+            "steps of memory.hard and memory.trail": (noted[:, -3], self.rules.horizon_steps + 1),
+            "maps of memory.hard and memory.trail": (noted[:, -2], maps),
+            "targets of memory.hard and memory.trail": (noted[:, -1], targets),
             "steps of memory.record": (written[:, -2], self.rules.horizon_steps + 1),
             "maps of memory.record": (written[:, -1], maps),
         }

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srlrace.sim.compile import inline
-from srlrace.task.arrays import EPISODE_RETURN, MIN_CLEARANCE, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED, Memory
+from srlrace.task.arrays import EPISODE_RETURN, MIN_CLEARANCE, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED, Floats, Memory
 from srlrace.task.random import symmetric, uniform
 from srlrace.world.field import nearest
 
@@ -146,11 +146,8 @@ def record_size(waypoints: int) -> int:
 
 
 @inline
-def remember(fleet, memory, i):
-    """Write the state of drone ``i``, which has just passed a waypoint, to the ring of its new target."""
-    k = fleet.target[i]
-    row = memory.record[k, memory.count[k] % memory.record.shape[1]]
-    memory.count[k] += 1
+def write_record(fleet, row, i):
+    """Write down the state of drone ``i``."""
     for j in range(17):
         row[j] = fleet.state[j, i]
     for j in range(4):
@@ -164,25 +161,9 @@ def remember(fleet, memory, i):
     row[at + 1] = fleet.map[i]
 
 
-def forget_maps(memory: Memory, kept: NDArray[np.bool_]) -> None:
-    """Drop the remembered passings on maps that are not ``kept`` (slots,); the others stay in the order of passing."""
-    capacity = memory.record.shape[1]
-    for k, count in enumerate(memory.count.tolist()):
-        size = min(count, capacity)
-        rows = memory.record[k, (count - size + np.arange(size)) % capacity]
-        staying = rows[kept[rows[:, -1].astype(np.int64)]]
-        if len(staying) < size:
-            memory.record[k, : len(staying)] = staying
-            memory.count[k] = len(staying)
-
-
 @inline
-def start_remembered(fleet, memory, k, i):
-    """Start an episode from a random entry of the ring of target ``k``."""
-    size = min(memory.count[k], memory.record.shape[1])
-    row = memory.record[k, min(int(uniform(fleet.streams, i) * size), size - 1)]
-    fleet.staged[i] = True
-    fleet.target[i] = k
+def read_record(fleet, row, i):
+    """Put drone ``i`` where another one was."""
     for j in range(17):
         fleet.state[j, i] = row[j]
     for j in range(4):
@@ -194,6 +175,80 @@ def start_remembered(fleet, memory, k, i):
             at += 1
     fleet.steps[i] = int(row[at])
     fleet.map[i] = int(row[at + 1])
+
+
+@inline
+def remember(fleet, memory, i):
+    """Write the state of drone ``i``, which has just passed a waypoint, to the ring of its new target."""
+    k = fleet.target[i]
+    row = memory.record[k, memory.count[k] % memory.record.shape[1]]
+    memory.count[k] += 1
+    write_record(fleet, row, i)
+
+
+@inline
+def begin_trail(fleet, memory, i):
+    """Note where the episode of drone ``i`` begins, as its last two passings."""
+    for row in memory.trail[i]:
+        write_record(fleet, row, i)
+        row[-1] = fleet.target[i]
+
+
+@inline
+def extend_trail(fleet, memory, i):
+    """Note where drone ``i`` has just passed a waypoint, and forget its passing before the last."""
+    before, last = memory.trail[i, 0], memory.trail[i, 1]
+    for j in range(last.shape[0]):
+        before[j] = last[j]
+    write_record(fleet, last, i)
+    last[-1] = fleet.target[i]
+
+
+@inline
+def remember_crash(memory, i):
+    """Write where drone ``i``, which has just crashed, was at its passing before the last to the ring of hard ones."""
+    row, trail = memory.hard[memory.hards[0] % memory.hard.shape[0]], memory.trail[i, 0]
+    memory.hards[0] += 1
+    for j in range(row.shape[0]):
+        row[j] = trail[j]
+
+
+@inline
+def rehearse(fleet, memory, i):
+    """Start an episode from a random one of the hard passings."""
+    size = min(memory.hards[0], memory.hard.shape[0])
+    row = memory.hard[min(int(uniform(fleet.streams, i) * size), size - 1)]
+    fleet.staged[i] = True
+    fleet.rehearsing[i] = True
+    fleet.target[i] = int(row[-1])
+    read_record(fleet, row, i)
+
+
+def forget_maps(memory: Memory, kept: NDArray[np.bool_]) -> None:
+    """Drop the remembered passings on maps that are not ``kept`` (slots,); the others stay in the order of passing."""
+    for k in range(len(memory.count)):
+        _thin(memory.record[k], memory.count[k : k + 1], kept, column=-1)
+    _thin(memory.hard, memory.hards, kept, column=-2)
+
+
+def _thin(ring: Floats, count: NDArray[np.int64], kept: NDArray[np.bool_], column: int) -> None:
+    """Drop the rows of a ring whose map, in ``column``, is not ``kept``; ``count`` (1,) is how often it was written."""
+    size = min(int(count[0]), len(ring))
+    rows = ring[(count[0] - size + np.arange(size)) % max(len(ring), 1)]
+    staying = rows[kept[rows[:, column].astype(np.int64)]]
+    if len(staying) < size:
+        ring[: len(staying)] = staying
+        count[0] = len(staying)
+
+
+@inline
+def start_remembered(fleet, memory, k, i):
+    """Start an episode from a random entry of the ring of target ``k``."""
+    size = min(memory.count[k], memory.record.shape[1])
+    row = memory.record[k, min(int(uniform(fleet.streams, i) * size), size - 1)]
+    fleet.staged[i] = True
+    fleet.target[i] = k
+    read_record(fleet, row, i)
 
 
 @inline
@@ -238,17 +293,24 @@ def start_again(fleet, rules, field, memory, scratch, i):
 def reset_drone(fleet, rules, field, memory, scratch, i):
     """Start a new episode of drone ``i``.
 
-    From a remembered passing, near a waypoint, at the start of a failed episode, or at a start of its own.
+    From a remembered passing, near a waypoint, before an earlier crash, at the start of a failed episode, or at a start
+    of its own.
     """
     staged = rules.gate_starts + rules.memory_starts
-    draw = uniform(fleet.streams, i) if staged + rules.retry_starts > 0.0 else 1.0
+    again = rules.retry_starts + rules.hard_starts
+    draw = uniform(fleet.streams, i) if staged + again > 0.0 else 1.0
+    fleet.rehearsing[i] = False
     k = remembered_target(fleet, memory, i) if draw < rules.memory_starts else -1
     if k >= 0:
         start_remembered(fleet, memory, k, i)
     elif draw >= 1.0 - rules.retry_starts and memory.failures[0] > 0:
         start_again(fleet, rules, field, memory, scratch, i)
+    elif 1.0 - again <= draw < 1.0 - rules.retry_starts and memory.hards[0] > 0:
+        rehearse(fleet, memory, i)
     else:
         target = int(uniform(fleet.streams, i) * rules.sequence.shape[0]) if draw < staged else 0
         fleet.start_streams[0, i], fleet.start_streams[1, i] = fleet.streams[0, i], fleet.streams[1, i]
         start_fresh(fleet, rules, field, scratch, min(target, rules.sequence.shape[0] - 1), i)
     clear_episode(fleet, i)
+    if memory.trail.shape[0] > 0:
+        begin_trail(fleet, memory, i)

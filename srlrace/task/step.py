@@ -32,7 +32,7 @@ from srlrace.task.arrays import (
     TIMEOUT,
 )
 from srlrace.task.observation import observe
-from srlrace.task.reset import FAR, is_offered, remember, remember_failure, reset_drone
+from srlrace.task.reset import FAR, extend_trail, is_offered, remember, remember_crash, remember_failure, reset_drone
 from srlrace.task.reward import body_rate, progress, reward_terms
 from srlrace.world.field import nearest, pass_waypoint, swept_gap
 
@@ -164,6 +164,8 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
             return FINISHED
         if rules.memory_starts > 0.0 and is_offered(fleet, rules, i):
             remember(fleet, memory, i)
+        if memory.trail.shape[0] > 0:
+            extend_trail(fleet, memory, i)
     if fleet.steps[i] >= rules.horizon_steps:
         return TIMEOUT
     return FLYING
@@ -227,6 +229,8 @@ def step_drone(fleet, rules, field, memory, scratch, out, weights, i):
     close_episode(fleet, out, outcome, i)
     if rules.retry_starts > 0.0 and outcome != FINISHED and not fleet.staged[i]:
         remember_failure(fleet, memory, i)
+    if memory.trail.shape[0] > 0 and collided and not fleet.rehearsing[i] and is_offered(fleet, rules, i):
+        remember_crash(memory, i)
     if rules.autoreset:
         reset_drone(fleet, rules, field, memory, scratch, i)
         observe_into(fleet, rules, field, scratch, i, out.observation)

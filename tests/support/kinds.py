@@ -19,6 +19,7 @@ KINDS = {
         "env.horizon=1",
     ),
     "buffers": ("level=1", "curriculum.gate_starts=0.3", "curriculum.memory_starts=0.4", "env.horizon=1"),
+    "hard": ("level=3", "curriculum.hard_starts=0.5", "curriculum.staged_end=0.5", "env.horizon=1"),
     "mixed": ("level=mixed", "level.maps=5", "observation=rays", "env.horizon=1"),
     "randomized": ("level=2", "randomization=full", "randomization.maps=3", "env.horizon=0.6"),
     "laps": ("env=split_s", "env.horizon=1"),

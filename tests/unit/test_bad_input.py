@@ -90,6 +90,7 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
     ("quad=kingfischer", "did you mean kingfisher?"),
     ("randomization=ful", "did you mean full?"),
     ("curriculum=defaults", "did you mean default?"),
+    ("curriculum.hard_starts=0.9", "curriculum.hard_starts: with curriculum.retry_starts it makes 1.1"),
     ("algo=pppo", "did you mean ppo?"),
     ("env=../../etc/passwd", "no such file"),
     ("reward=../env/forest", "reward: got '../env/forest'; takes one of"),

@@ -109,11 +109,15 @@ def test_forgetting_keeps_the_order_of_passing():
     for k in range(6):
         record[0, k % 4] = (k, 0, k % 3)  # number, filler, map
     record[1, :2] = [(10, 0, 2), (11, 0, 1)]
-    memory = Memory(record, np.array([6, 2]), np.zeros((2, 1), np.uint64), np.zeros(1, np.int64))
+    hard = np.array([[4, 1, 0], [1, 2, 0], [2, 1, 0], [3, 0, 0]], np.float32)  # number, map, target; written five times
+    failed, trail = np.zeros((2, 1), np.uint64), np.zeros((0, 2, 3), np.float32)
+    memory = Memory(record, np.array([6, 2]), failed, np.zeros(1, np.int64), trail, hard, np.array([5]))
     forget_maps(memory, np.array([True, False, True]))
     assert memory.count.tolist() == [3, 1]
     assert record[0, :3, 0].tolist() == [2, 3, 5]
     assert record[1, 0, 0] == 10
+    assert memory.hards.tolist() == [2]
+    assert hard[:2, 0].tolist() == [1, 3]
     before = record.copy()
     forget_maps(memory, np.array([True, False, True]))
     np.testing.assert_array_equal(record, before)

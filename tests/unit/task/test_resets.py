@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from srlrace.task.arrays import CRASHED, DIVERGED, FLYING
+from srlrace.task.arrays import CRASHED, DIVERGED, FLYING, TIMEOUT
 from srlrace.task.observation import POSITION_SCALE
 
 N = 1500
@@ -256,6 +256,45 @@ def test_a_failed_start_is_flown_again_exactly(config, trained, hover):
             for name, value in drawn.items():
                 np.testing.assert_array_equal(getattr(race.fleet, name)[..., 2], value, err_msg=name)
     assert race.take_ledger()["episodes"] == 4
+
+
+def test_what_led_to_a_crash_is_flown_again(config, trained, place_drones, hover):
+    """A drone passes three waypoints and crashes: later episodes begin at its second passing, again and again."""
+    race = trained(staged(config, hard_starts=1.0, memory_size=4), 2)
+    race.set_progress(1.0)
+    fleet, names = race.fleet, ("state", "plant", "waypoints", "steps", "map", "target")
+    passed = []
+    for waypoint in race.rules.waypoints[:3]:
+        place_drones(race, [waypoint - [0.4, 0, 0], (0, 0, 4)], [(20, 0, 0), (0, 0, 0)])
+        race.step(hover(2))
+        passed.append({name: getattr(fleet, name)[..., 0].copy() for name in names})
+    assert [at["target"] for at in passed] == [1, 2, 3]
+    for _ in range(3):
+        fleet.state[3, 0] = np.nan
+        assert race.step(hover(2)).outcome.tolist() == [DIVERGED, FLYING]
+        assert race.memory.hards.tolist() == [1]  # a crash on the way from a remembered one is not remembered again
+        assert fleet.rehearsing.tolist() == fleet.staged.tolist() == [True, False]
+        for name, value in passed[1].items():
+            np.testing.assert_array_equal(getattr(fleet, name)[..., 0], value, err_msg=name)
+    fleet.state[3, 1] = np.nan
+    race.step(hover(2))
+    assert race.memory.hards.tolist() == [2]
+    assert race.memory.hard[1, -1] == 0  # it had passed nothing: from its start
+
+
+def test_a_flight_that_is_late_is_not_remembered_as_a_crash(config, trained, place_drones, hover):
+    race = trained(staged(config, hard_starts=1.0), 1)
+    race.fleet.steps[:] = race.rules.horizon_steps - 1
+    place_drones(race, [(0, 0, 4)], [(0, 0, 0)])
+    assert race.step(hover(1)).outcome.tolist() == [TIMEOUT]
+    assert race.memory.hards.tolist() == [0]
+
+
+def test_hard_starts_come_as_staged_ones_go(config, trained):
+    race = trained(staged(config, gate_starts=0.8, hard_starts=0.4, staged_hold=0.2, staged_end=0.6), 1)
+    for done, share in ((0.0, 0.0), (0.2, 0.0), (0.5, 0.3), (0.6, 0.4), (1.0, 0.4)):
+        race.set_progress(done)
+        assert race.rules.hard_starts == pytest.approx(share)
 
 
 def test_staged_starts_end(config, trained, hover):

@@ -43,6 +43,19 @@ def test_a_remembered_passing_out_of_range_is_refused(race: Race, column: int, v
         race.restore(snapshot)
 
 
+@pytest.mark.parametrize("name", ["hard", "trail"])
+@pytest.mark.parametrize(("column", "value"), [(-1, 9.0), (-1, -1.0), (-1, np.nan), (-2, 1.0), (-3, 1e9)])
+def test_where_a_crash_began_out_of_range_is_refused(name: str, column: int, value: float) -> None:
+    race = Race(compose(["level=none", "curriculum.hard_starts=0.4"]), RaceMode.training(0, 16))
+    race.reset()
+    snapshot = race.snapshot()
+    race.restore(snapshot)
+    snapshot["memory.hards"][0] = 1
+    snapshot[f"memory.{name}"][..., column] = value
+    with pytest.raises(ValueError, match=r"memory\.hard"):
+        race.restore(snapshot)
+
+
 def test_a_negative_count_is_refused(race: Race) -> None:
     snapshot = race.snapshot()
     snapshot["memory.count"][0] = -3
