@@ -216,6 +216,9 @@ class CurriculumConfig:
     hard_starts: float = setting(
         "share of resets from where a flight was two passings before it crashed", low=0.0, high=1.0, default=0.0
     )
+    hard_time: float = setting(
+        "flights from such a place end after this time; 0: like any other", unit="s", low=0.0, high=600.0, default=0.0
+    )
 
 
 @dataclass(frozen=True)

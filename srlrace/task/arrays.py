@@ -70,6 +70,7 @@ class Rules(NamedTuple):
     memory_starts: float  # share of resets from a remembered passing
     retry_starts: float  # share of resets from the start of an earlier episode that failed
     hard_starts: float  # share of resets from where a drone was two passings before it crashed
+    hard_steps: int  # after which a flight from there ends
     autoreset: bool
     wind: Floats  # (3, n) m/s, world; (3, 0) in still air
 
@@ -85,6 +86,7 @@ class Fleet(NamedTuple):
     target: NDArray[np.int32]  # (n,) index into Rules.sequence
     first_target: NDArray[np.int32]  # (n,) target at the start of the episode
     steps: NDArray[np.int32]  # (n,) since the start
+    last_step: NDArray[np.int32]  # (n,) at which the episode is cut off
     map: NDArray[np.int32]  # (n,)
     staged: NDArray[np.bool_]  # (n,) started elsewhere than at the start: not counted in the ledger
     parked: NDArray[np.bool_]  # (n,) episode over and no autoreset

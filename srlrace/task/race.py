@@ -106,6 +106,7 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         memory_starts=config.curriculum.memory_starts if mode.curriculum else 0.0,
         retry_starts=config.curriculum.retry_starts if mode.curriculum else 0.0,
         hard_starts=config.curriculum.hard_starts if mode.curriculum else 0.0,
+        hard_steps=round((config.curriculum.hard_time or track.horizon) / config.sim.control_period),
         autoreset=mode.autoreset,
         wind=np.zeros((3, 0), dtype),
     )
@@ -125,6 +126,7 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         target=np.zeros(n, np.int32),
         first_target=np.zeros(n, np.int32),
         steps=np.zeros(n, np.int32),
+        last_step=np.full(n, rules.horizon_steps, np.int32),
         map=np.zeros(n, np.int32),
         staged=np.zeros(n, np.bool_),
         parked=np.zeros(n, np.bool_),
@@ -318,6 +320,7 @@ class Race:
             "fleet.first_target": (arrays["fleet.first_target"], targets),
             "fleet.map": (arrays["fleet.map"], maps),
             "fleet.steps": (arrays["fleet.steps"], self.rules.horizon_steps),
+            "fleet.last_step": (arrays["fleet.last_step"], self.rules.horizon_steps + 1),
             "memory.count": (count, np.iinfo(np.int64).max),
             "memory.failures": (arrays["memory.failures"], np.iinfo(np.int64).max),
             "memory.hards": (arrays["memory.hards"], np.iinfo(np.int64).max),

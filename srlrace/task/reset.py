@@ -214,14 +214,15 @@ def remember_crash(memory, i):
 
 
 @inline
-def rehearse(fleet, memory, i):
-    """Start an episode from a random one of the hard passings."""
+def rehearse(fleet, rules, memory, i):
+    """Start an episode from a random one of the hard passings, and cut it off when it should be past the danger."""
     size = min(memory.hards[0], memory.hard.shape[0])
     row = memory.hard[min(int(uniform(fleet.streams, i) * size), size - 1)]
     fleet.staged[i] = True
     fleet.rehearsing[i] = True
     fleet.target[i] = int(row[-1])
     read_record(fleet, row, i)
+    fleet.last_step[i] = min(fleet.steps[i] + rules.hard_steps, rules.horizon_steps)
 
 
 def forget_maps(memory: Memory, kept: NDArray[np.bool_]) -> None:
@@ -300,13 +301,14 @@ def reset_drone(fleet, rules, field, memory, scratch, i):
     again = rules.retry_starts + rules.hard_starts
     draw = uniform(fleet.streams, i) if staged + again > 0.0 else 1.0
     fleet.rehearsing[i] = False
+    fleet.last_step[i] = rules.horizon_steps
     k = remembered_target(fleet, memory, i) if draw < rules.memory_starts else -1
     if k >= 0:
         start_remembered(fleet, memory, k, i)
     elif draw >= 1.0 - rules.retry_starts and memory.failures[0] > 0:
         start_again(fleet, rules, field, memory, scratch, i)
     elif 1.0 - again <= draw < 1.0 - rules.retry_starts and memory.hards[0] > 0:
-        rehearse(fleet, memory, i)
+        rehearse(fleet, rules, memory, i)
     else:
         target = int(uniform(fleet.streams, i) * rules.sequence.shape[0]) if draw < staged else 0
         fleet.start_streams[0, i], fleet.start_streams[1, i] = fleet.streams[0, i], fleet.streams[1, i]

@@ -166,7 +166,7 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
             remember(fleet, memory, i)
         if memory.trail.shape[0] > 0:
             extend_trail(fleet, memory, i)
-    if fleet.steps[i] >= rules.horizon_steps:
+    if fleet.steps[i] >= fleet.last_step[i]:
         return TIMEOUT
     return FLYING
 

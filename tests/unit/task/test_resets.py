@@ -290,6 +290,20 @@ def test_a_flight_that_is_late_is_not_remembered_as_a_crash(config, trained, pla
     assert race.memory.hards.tolist() == [0]
 
 
+def test_a_flight_from_before_a_crash_is_cut_off(config, trained, place_drones, hover):
+    """After three steps of 20 ms, as if the time were up; a flight from the start has all of it."""
+    race = trained(staged(config, hard_starts=1.0, hard_time=0.06), 2)
+    race.set_progress(1.0)
+    place_drones(race, [(0, 0, 4), (0, 0, 4)], [(0, 0, 0), (0, 0, 0)])
+    race.fleet.steps[:] = 100
+    race.fleet.state[3, 0] = np.nan
+    race.step(hover(2))
+    place_drones(race, [(0, 0, 4), (0, 0, 4)], [(0, 0, 0), (0, 0, 0)])
+    outcomes = [race.step(hover(2)).outcome.tolist() for _ in range(3)]
+    assert outcomes == [[FLYING, FLYING], [FLYING, FLYING], [TIMEOUT, FLYING]]
+    assert race.take_ledger()["timeout"] == 0
+
+
 def test_hard_starts_come_as_staged_ones_go(config, trained):
     race = trained(staged(config, gate_starts=0.8, hard_starts=0.4, staged_hold=0.2, staged_end=0.6), 1)
     for done, share in ((0.0, 0.0), (0.2, 0.0), (0.5, 0.3), (0.6, 0.4), (1.0, 0.4)):
