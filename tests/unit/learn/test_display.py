@@ -87,6 +87,11 @@ def test_the_phase_is_what_the_race_does(hundred):
     assert phase_text(curriculum, 0.5) == "curriculum: costs at 60 %, 50 % of starts along the course"
     assert phase_text(curriculum, 0.75) == "curriculum: costs in full, 25 % of starts along the course"
     assert phase_text(curriculum, 1.0) == "curriculum: costs in full"
+    hard = replace(curriculum, hard_starts=0.8)
+    assert phase_text(hard, 0.5) == phase_text(curriculum, 0.5)
+    along = "25 % of starts along the course, 40 % before earlier crashes"
+    assert phase_text(hard, 0.75) == f"curriculum: costs in full, {along}"
+    assert phase_text(hard, 1.0) == "curriculum: costs in full, 80 % before earlier crashes"
 
 
 def test_a_trend_reaches_from_the_lowest_to_the_highest_with_gaps():
