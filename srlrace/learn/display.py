@@ -121,7 +121,7 @@ def phase_text(curriculum: CurriculumConfig, done: float) -> str:
         words.append(f"waypoints {larger:.2f} m larger")
     if (staged := (curriculum.gate_starts + curriculum.memory_starts) * phase.staged) > 0:
         words.append(f"{100 * staged:.0f} % of starts along the course")
-    if (hard := curriculum.hard_starts * phase.hard) > 0:
+    if (hard := curriculum.hard_starts * (1.0 - phase.staged)) > 0:
         words.append(f"{100 * hard:.0f} % before earlier crashes")
     return "curriculum: " + ", ".join(words)
 
