@@ -20,7 +20,7 @@ from torch import nn
 
 from srlrace.config import Config
 from srlrace.files import atomic_write
-from srlrace.learn.policy import load_policy, policy_arguments
+from srlrace.learn.policy import load_policy, mean_head, policy_arguments
 from srlrace.runs import RunError, RunFolder
 from srlrace.task.vec_env import action_space
 
@@ -53,10 +53,14 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 
 def sb3_bytes(config: Config, policy: ActorCriticPolicy) -> bytes:
-    """The policy as a file of Stable-Baselines3's PPO, without a class of srlrace in it."""
+    """The policy as a file of Stable-Baselines3's PPO, without a class of srlrace in it.
+
+    Standard deviations that depend on the state stay behind: the file's policy has the same means.
+    """
     model = PPO("MlpPolicy", _Spaces(policy), policy_kwargs=policy_arguments(config.algo), device="cpu", n_steps=2,
                 batch_size=2, gamma=config.algo.gamma)  # fmt: skip
-    model.policy.load_state_dict(policy.state_dict())
+    head = {f"action_net.{name}": tensor for name, tensor in mean_head(policy).state_dict().items()}
+    model.policy.load_state_dict(policy.state_dict() | head)
     stream = io.BytesIO()
     model.save(stream)
     return stream.getvalue()
@@ -68,7 +72,7 @@ def onnx_bytes(policy: ActorCriticPolicy) -> bytes:
         from onnx import TensorProto, checker, helper, numpy_helper
     except ImportError:
         raise RunError("--to onnx needs a package: pip install 'srlrace[export]'") from None
-    layers = [*policy.mlp_extractor.policy_net, policy.action_net]
+    layers = [*policy.mlp_extractor.policy_net, mean_head(policy)]
     nodes, weights, name = [], [], "observation"
     for index, layer in enumerate(layers):
         if isinstance(layer, nn.Linear):

@@ -247,6 +247,10 @@ class AlgoConfig:
     noise_correlation: float = setting(
         "correlation of the exploration noise from step to step; 0: white noise", low=0.0, high=0.999, default=0.0
     )
+    state_dependent_std: bool = setting(
+        "the standard deviation of the actions depends on the state: a second half of the policy's outputs",
+        default=False,
+    )
     threads: int = setting("torch threads, pinned", low=1, high=256, default=1)
 
 

@@ -22,10 +22,11 @@ from torch import Tensor, nn
 
 from srlrace.learn import update
 from srlrace.learn.perceptron import Floats, Perceptrons
+from srlrace.learn.policy import log_deviations
 
 
 class LeanPPO(PPO):
-    """PPO for a diagonal Gaussian policy with separate policy and value networks (SB3's ``MlpPolicy``).
+    """PPO for a diagonal Gaussian policy with separate policy and value networks (`srlrace.learn.policy`).
 
     All parameters, and Adam's two moments of their gradients, are parts of one vector each.
     """
@@ -66,12 +67,14 @@ class LeanPPO(PPO):
         self.networks.load(self.parameters)
         buffer, truncated = rollout_buffer, []
         noise = correlate(torch.randn(n_rollout_steps, env.num_envs, *box.shape).numpy(), self.noise_correlation)
-        deviation = noise * self.policy.log_std.exp().numpy()
+        log_std = np.empty_like(noise)
         for step in range(n_rollout_steps):
             buffer.observations[step] = self._last_obs
             buffer.episode_starts[step] = self._last_episode_starts
-            mean = self.networks.evaluate(self.actor, buffer.observations[step])
-            action = np.add(mean, deviation[step], buffer.actions[step])
+            output = self.networks.evaluate(self.actor, buffer.observations[step])
+            spread = log_deviations(self.policy, torch.from_numpy(output))
+            log_std[step] = spread.numpy()
+            action = np.add(output[:, : box.shape[0]], noise[step] * spread.exp().numpy(), buffer.actions[step])
             observation, rewards, dones, infos = env.step(np.clip(action, box.low, box.high))
             self.num_timesteps += env.num_envs
             callback.update_locals({"infos": infos, "dones": dones, "rewards": rewards})
@@ -83,7 +86,8 @@ class LeanPPO(PPO):
                     truncated.append((step, i, infos[i]["terminal_observation"]))
             self._last_obs, self._last_episode_starts = cast(Any, observation), dones
         buffer.pos, buffer.full = n_rollout_steps, True
-        buffer.log_probs[...] = self._log_prob(noise)
+        buffer.log_probs[...] = log_density(noise, log_std)
+        self._std = float(np.exp(log_std).mean())
         self._judge(buffer, truncated)
         callback.on_rollout_end()
         return True
@@ -104,11 +108,6 @@ class LeanPPO(PPO):
             buffer.rewards, buffer.values, buffer.episode_starts, last_values, self._last_episode_starts,
             self.gamma, buffer.gae_lambda, buffer.advantages, buffer.returns,
         )  # fmt: skip
-
-    def _log_prob(self, standardised: Floats) -> Floats:
-        """Log density of actions given as (action - mean) / std, (..., actions)."""
-        log_std = self.parameters[: standardised.shape[-1]]
-        return cast(Floats, -(0.5 * standardised**2 + log_std + update.LOG_SQRT_TAU).sum(-1))
 
     @torch.no_grad()
     def train(self) -> None:
@@ -161,9 +160,14 @@ class LeanPPO(PPO):
             "clip_fraction": clip_fraction,
             "loss": policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss,
             "explained_variance": variance,
-            "std": float(self.policy.log_std.exp().mean()),
+            "std": self._std,
         }.items():
             self.logger.record(f"train/{name}", value)
+
+
+def log_density(standardised: Floats, log_std: Floats) -> Floats:
+    """Log densities (...) of actions given as (action - mean) / std, (..., actions), and the log of std, likewise."""
+    return cast(Floats, -(0.5 * standardised**2 + log_std + update.LOG_SQRT_TAU).sum(-1))
 
 
 def correlate(noise: Floats, correlation: float) -> Floats:

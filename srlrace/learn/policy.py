@@ -13,12 +13,15 @@ from typing import Any, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3.common.distributions import DiagGaussianDistribution, Distribution
 from stable_baselines3.common.policies import ActorCriticPolicy
-from torch import nn
+from stable_baselines3.common.type_aliases import Schedule
+from torch import Tensor, nn
 
 from srlrace.config import AlgoConfig, Config
 from srlrace.files import atomic_write
 from srlrace.learn.tensors import TensorFileError, pack, read_arrays
+from srlrace.learn.update import LOG_STD_HIGH, LOG_STD_LOW
 from srlrace.task.observation import observation_size
 from srlrace.task.vec_env import action_space, observation_space
 
@@ -36,10 +39,50 @@ def policy_arguments(algo: AlgoConfig) -> dict[str, Any]:
     }
 
 
+class StatePolicy(ActorCriticPolicy):
+    """SB3's actor-critic policy with standard deviations that depend on the state.
+
+    The policy network ends in twice as many numbers as there are actions: means, and what is added to ``log_std``.
+    """
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        super()._build(lr_schedule)
+        means = cast(nn.Linear, self.action_net)
+        self.action_net = nn.Linear(means.in_features, 2 * means.out_features)
+        with torch.no_grad():  # untrained, every state has the same
+            for parameter, given in zip(self.action_net.parameters(), means.parameters(), strict=True):
+                parameter.zero_()[: means.out_features] = given
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
+
+    def _get_action_dist_from_latent(self, latent_pi: Tensor) -> Distribution:
+        output = self.action_net(latent_pi)
+        means = output[:, : output.shape[1] // 2]
+        return cast(DiagGaussianDistribution, self.action_dist).proba_distribution(means, log_deviations(self, output))
+
+
+def log_deviations(policy: ActorCriticPolicy, output: Tensor) -> Tensor:
+    """Log standard deviations that go with the policy network's ``output`` (n, 4 or 8): (n, 4), or (4,) for all n."""
+    offsets = output[:, policy.log_std.numel() :]
+    return (policy.log_std + offsets).clamp(LOG_STD_LOW, LOG_STD_HIGH) if offsets.numel() else policy.log_std
+
+
+def policy_class(algo: AlgoConfig) -> type[ActorCriticPolicy]:
+    """Return the class of the configured policy."""
+    return StatePolicy if algo.state_dependent_std else ActorCriticPolicy
+
+
 def build_policy(config: Config) -> ActorCriticPolicy:
     """Build an untrained policy for ``config``, outside of any training."""
     space = observation_space(observation_size(config.observation))
-    return ActorCriticPolicy(space, action_space(), lambda _: 0.0, **policy_arguments(config.algo))
+    return policy_class(config.algo)(space, action_space(), lambda _: 0.0, **policy_arguments(config.algo))
+
+
+def mean_head(policy: ActorCriticPolicy) -> nn.Linear:
+    """Return the last layer of the policy network, as far as it gives the means of the actions."""
+    head, actions = cast(nn.Linear, policy.action_net), policy.log_std.numel()
+    means = nn.Linear(head.in_features, actions)
+    means.load_state_dict({name: tensor[:actions] for name, tensor in head.state_dict().items()})
+    return means
 
 
 def state_arrays(module: nn.Module) -> dict[str, NDArray[Any]]:
@@ -93,5 +136,5 @@ def act(policy: ActorCriticPolicy, observation: NDArray[np.float32]) -> NDArray[
         tensor = torch.from_numpy(observation)
         features = cast(torch.Tensor, policy.extract_features(tensor, policy.pi_features_extractor))
         latent = policy.mlp_extractor.forward_actor(features)
-        action: NDArray[np.float32] = policy.action_net(latent).numpy()
-    return action
+        output: NDArray[np.float32] = policy.action_net(latent).numpy()
+    return output[:, : policy.log_std.numel()]

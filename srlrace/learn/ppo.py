@@ -12,7 +12,7 @@ from stable_baselines3.common.logger import Logger
 
 from srlrace.config import AlgoConfig, Config
 from srlrace.learn.lean_ppo import LeanPPO
-from srlrace.learn.policy import load_state, policy_arguments, state_arrays
+from srlrace.learn.policy import load_state, policy_arguments, policy_class, state_arrays
 from srlrace.learn.tensors import TensorFileError
 from srlrace.sim.airframe import GRAVITY
 from srlrace.task.vec_env import RaceVecEnv
@@ -34,7 +34,7 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
     algo: AlgoConfig = config.algo
     torch.set_num_threads(algo.threads)
     model = learner(
-        "MlpPolicy",
+        policy_class(algo),
         env,
         learning_rate=LinearSchedule(algo.learning_rate, algo.learning_rate_final),
         n_steps=algo.n_steps,

@@ -15,6 +15,7 @@ from srlrace.learn.perceptron import (
     INPUT_WIDTH,
     OUTPUT,
     OUTPUT_GRADIENT,
+    OUTPUTS,
     WIDTH,
     backward,
     clear_gradient,
@@ -25,6 +26,9 @@ from srlrace.learn.perceptron import (
 from srlrace.sim.compile import kernel
 
 LOG_SQRT_TAU = 0.5 * math.log(2.0 * math.pi)
+# Of log standard deviations that depend on the state: 0.03 to 1.65 of what an action can be at most. Ours; training
+# stays within, the limits keep a bad step from ending it.
+LOG_STD_LOW, LOG_STD_HIGH = -3.5, 0.5
 # What an update reports, each a mean over its samples
 POLICY_LOSS, VALUE_LOSS, ENTROPY, KL, CLIP_FRACTION = range(5)
 STATISTICS = 5
@@ -47,33 +51,49 @@ def advantage_scale(advantages, order, normalise):
 
 @kernel
 def policy_gradient(
-    memory, last, rows, actions, old_log_probs, advantages, scale, log_std, log_std_gradient, clip, weight, out
+    memory, last, rows, actions, old_log_probs, advantages, scale, log_std, log_std_gradient,
+    clip, ent_coef, weight, out,
 ):  # fmt: skip
     """Write the gradient of the clipped objective for the samples of a block; add up statistics and log_std's gradient.
 
     `last` is the row of the policy's last layer, `scale` what `advantage_scale` returned, `weight` one over the size of
-    the minibatch.
+    the minibatch. A policy that gives means alone has the standard deviations exp(log_std), and the entropy bonus is
+    added by the caller; one that gives twice as many numbers adds the second half to log_std (`standardise_by_state`).
     """
     mean, deviation = scale
-    constant = standardise(memory, last, rows, actions, log_std)
+    size, by_state = len(log_std), last[OUTPUTS] > len(log_std)
+    if by_state:
+        constant = size * LOG_SQRT_TAU
+        standardise_by_state(memory, last, rows, actions, log_std)
+    else:
+        constant = standardise(memory, last, rows, actions, log_std)
     for n in range(len(rows)):
         output, gradient = last[OUTPUT] + n * last[WIDTH], last[OUTPUT_GRADIENT] + n * last[WIDTH]
-        z, d = memory[output : output + len(log_std)], memory[gradient : gradient + len(log_std)]
-        squares = 0.0
-        for k in range(len(z)):
+        z, d = memory[output : output + size], memory[gradient : gradient + size]
+        squares, spread = 0.0, 0.0
+        for k in range(size):
             squares += z[k] * z[k]
-        log_ratio = -0.5 * squares - constant - old_log_probs[rows[n]]
+        if by_state:
+            for k in range(size):
+                spread += memory[output + size + k]
+        log_ratio = -0.5 * squares - (constant + spread) - old_log_probs[rows[n]]
         ratio = math.exp(log_ratio)
         advantage = (advantages[rows[n]] - mean) / deviation
         surrogate, clipped = advantage * ratio, advantage * min(max(ratio, 1.0 - clip), 1.0 + clip)
         # The gradient flows where the clipped objective is not the smaller one.
         flow = -weight * surrogate if surrogate <= clipped else 0.0
-        for k in range(len(z)):
-            log_std_gradient[k] += flow * (z[k] * z[k] - 1.0)
+        for k in range(size):
+            wider = flow * (z[k] * z[k] - 1.0)
+            if by_state:
+                wider = (wider - weight * ent_coef) * memory[gradient + size + k]
+                memory[gradient + size + k] = wider
+            log_std_gradient[k] += wider
             d[k] *= flow * z[k]
         out[POLICY_LOSS] -= weight * min(surrogate, clipped)
         out[KL] += weight * (ratio - 1.0 - log_ratio)
         out[CLIP_FRACTION] += weight * (abs(ratio - 1.0) > clip)
+        if by_state:
+            out[ENTROPY] += weight * (spread + constant + 0.5 * size)
 
 
 @kernel
@@ -91,6 +111,26 @@ def standardise(memory, last, rows, actions, log_std):
             memory[last[OUTPUT] + place] = (actions[rows[n], k] - memory[last[OUTPUT] + place]) * inverse
             memory[last[OUTPUT_GRADIENT] + place] = inverse
     return constant
+
+
+@kernel
+def standardise_by_state(memory, last, rows, actions, log_std):
+    """Do as `standardise`, for standard deviations of which each state has its own.
+
+    What the policy adds to log_std is replaced by the sum, within its limits, and its gradient set to that of the sum:
+    1, or 0 beyond the limits.
+    """
+    size = len(log_std)
+    for n in range(len(rows)):
+        output, gradient = last[OUTPUT] + n * last[WIDTH], last[OUTPUT_GRADIENT] + n * last[WIDTH]
+        for k in range(size):
+            asked = log_std[k] + memory[output + size + k]
+            held = min(max(asked, np.float32(LOG_STD_LOW)), np.float32(LOG_STD_HIGH))
+            inverse = np.float32(math.exp(-held))
+            memory[output + k] = (actions[rows[n], k] - memory[output + k]) * inverse
+            memory[gradient + k] = inverse
+            memory[output + size + k] = held
+            memory[gradient + size + k] = asked == held
 
 
 @kernel
@@ -129,7 +169,7 @@ def gradient_step(
         forward(memory, actor, activation, count)
         policy_gradient(
             memory, actor[len(actor) - 1], rows, actions, old_log_probs, advantages, scale,
-            log_std, log_std_gradient, clip, weight, out,
+            log_std, log_std_gradient, clip, ent_coef, weight, out,
         )  # fmt: skip
         backward(memory, actor, activation, count)
         forward(memory, critic, activation, count)
@@ -137,9 +177,10 @@ def gradient_step(
         backward(memory, critic, activation, count)
     for layers in (actor, critic):
         store_gradient(memory, layers, gradient)
-    for k in range(size):
-        log_std_gradient[k] -= ent_coef
-        out[ENTROPY] += log_std[k] + 0.5 + LOG_SQRT_TAU
+    if actor[len(actor) - 1, OUTPUTS] == size:
+        for k in range(size):
+            log_std_gradient[k] -= ent_coef
+            out[ENTROPY] += log_std[k] + 0.5 + LOG_SQRT_TAU
 
 
 @kernel

@@ -14,10 +14,13 @@ from srlrace.learn.policy import act, build_policy, save_policy
 from srlrace.runs import RunError, RunFolder
 
 
-@pytest.fixture
-def trained(config, tmp_path):
+@pytest.fixture(params=["false", "true"], ids=["one-std", "std-by-state"])
+def trained(config, tmp_path, request):
     """A run with a policy of random weights, and what it does with random observations."""
-    settings = config("level=none", "algo.policy_layers=[16,8]", "algo.value_layers=[8]", "algo.activation=elu")
+    settings = config(
+        "level=none", "algo.policy_layers=[16,8]", "algo.value_layers=[8]", "algo.activation=elu",
+        f"algo.state_dependent_std={request.param}",
+    )  # fmt: skip
     torch.manual_seed(3)
     policy = build_policy(settings)
     (tmp_path / "run").mkdir()

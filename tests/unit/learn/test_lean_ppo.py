@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from srlrace.hydra_bridge import compose
-from srlrace.learn.lean_ppo import LeanPPO, correlate
+from srlrace.learn.lean_ppo import LeanPPO, correlate, log_density
+from srlrace.learn.policy import act, build_policy
 from srlrace.learn.ppo import build_ppo
 from srlrace.task.vec_env import RaceVecEnv
 
@@ -39,6 +41,8 @@ def rolled_out(*overrides: str) -> tuple[LeanPPO, RaceVecEnv]:
         ("algo.clip_range=0.01", "algo.learning_rate=0.01"),  # most samples clipped
         ("algo.max_grad_norm=0.001", "algo.activation=elu"),  # every gradient clipped
         ("algo.policy_layers=[19]", "algo.value_layers=[7,130,5]"),  # no size fits a register
+        ("algo.state_dependent_std=true",),
+        ("algo.state_dependent_std=true", "algo.ent_coef=0.01", "algo.log_std_init=0.5"),  # the limit: half are beyond
     ],
 )
 def test_an_update_is_that_of_sb3(overrides: tuple[str, ...]) -> None:
@@ -114,8 +118,9 @@ def test_a_rollout_is_that_of_sb3_with_truncated_episodes_bootstrapped() -> None
     assert (np.abs(lean.rewards - raw) > 1e-6).any()
 
 
-def test_the_log_density_is_that_of_the_gaussian() -> None:
-    model, _ = rolled_out()
+@pytest.mark.parametrize("by_state", ["false", "true"])
+def test_the_log_density_is_that_of_the_gaussian(by_state: str) -> None:
+    model, _ = rolled_out(f"algo.state_dependent_std={by_state}")
     buffer = model.rollout_buffer
     observation = torch.from_numpy(buffer.observations.reshape(-1, buffer.obs_shape[0]))
     action = torch.from_numpy(buffer.actions.reshape(-1, 4))
@@ -134,12 +139,26 @@ def test_correlated_noise_is_standard_normal_and_remembers_as_much_as_asked() ->
     np.testing.assert_array_equal(correlate(white.copy(), 0.0), white)
 
 
-def test_a_rollout_explores_with_the_configured_correlation_and_knows_its_densities() -> None:
-    model, _ = rolled_out("algo.noise_correlation=0.8")
+@pytest.mark.parametrize("by_state", [False, True])
+def test_a_rollout_explores_with_the_configured_correlation_and_knows_its_densities(by_state: bool) -> None:
+    model, _ = rolled_out("algo.noise_correlation=0.8", f"algo.state_dependent_std={str(by_state).lower()}")
     buffer = model.rollout_buffer
     with torch.no_grad():
-        means = model.policy.get_distribution(torch.from_numpy(buffer.observations.reshape(-1, buffer.obs_shape[0])))
-    noise = buffer.actions - means.distribution.mean.numpy().reshape(buffer.actions.shape)
-    noise = noise / model.policy.log_std.exp().detach().numpy()
+        observations = torch.from_numpy(buffer.observations.reshape(-1, buffer.obs_shape[0]))
+        gaussian = model.policy.get_distribution(observations).distribution
+    mean, std = (array.numpy().reshape(buffer.actions.shape) for array in (gaussian.mean, gaussian.stddev))
+    noise = (buffer.actions - mean) / std
     np.testing.assert_allclose(np.mean(noise[1:] * noise[:-1]), 0.8, atol=0.1)
-    np.testing.assert_allclose(buffer.log_probs, model._log_prob(noise), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(buffer.log_probs, log_density(noise, np.log(std)), rtol=1e-3, atol=1e-3)
+    assert (np.ptp(std, axis=(0, 1)) > 1e-3).all() == by_state
+    assert model._std == pytest.approx(float(std.mean()), rel=1e-4)
+
+
+def test_a_standard_deviation_by_state_starts_as_that_of_all_states() -> None:
+    config = compose([*SMALL, "algo.state_dependent_std=true", "algo.log_std_init=-0.7"])
+    policy = build_policy(config)
+    observations = torch.randn(20, *policy.observation_space.shape or ())
+    with torch.no_grad():
+        gaussian = policy.get_distribution(observations).distribution
+    torch.testing.assert_close(gaussian.stddev, torch.full((20, 4), math.exp(-0.7)))
+    np.testing.assert_allclose(act(policy, observations.numpy()), gaussian.mean.numpy(), rtol=1e-4, atol=1e-6)
