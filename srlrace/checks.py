@@ -22,6 +22,7 @@ def check(config: Config) -> None:
     _check_lift(config)
     _check_batch(config)
     _check_curriculum(config.curriculum)
+    _check_teaching(config)
     check_memory(config, MEMORY_LIMIT)
 
 
@@ -37,6 +38,15 @@ def _check_curriculum(curriculum: CurriculumConfig) -> None:
         begin, end = getattr(curriculum, first), getattr(curriculum, last)
         if begin > end:
             raise ConfigError(f"curriculum.{first}: got {begin:g}; takes at most curriculum.{last}, which is {end:g}")
+
+
+def _check_teaching(config: Config) -> None:
+    maps = max(config.level.maps, config.randomization.maps)
+    if config.curriculum.teaching > 0.0 and maps > 1:
+        raise ConfigError(
+            f"curriculum.teaching: got {config.curriculum.teaching:g} with {maps} maps; takes 0 unless there is "
+            "one map, through which the flight that is shown leads"
+        )
 
 
 def _check_track(track: TrackConfig) -> None:

@@ -269,6 +269,9 @@ def bound(
     stop: Annotated[bool, typer.Option("--stop", help="End at rest.")] = False,
     restarts: Annotated[int, typer.Option(min=1, max=100, help="First guesses that are followed to the end.")] = 3,
     again: Annotated[bool, typer.Option("--again", help="Solve even what is stored.")] = False,
+    teach: Annotated[
+        bool, typer.Option("--demonstrate", help="Find the flight that training with curriculum=taught is shown.")
+    ] = False,
     out_file: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.mcap", help="Where to write the flight; default: the cache.")
     ] = None,
@@ -278,10 +281,12 @@ def bound(
     Settings are those of training: env=forest level=3, quad.thrust_max=6.09, env.passing_radius=0.2 and the like.
     """
     from srlrace.bound.command import bound as find_bound
+    from srlrace.bound.command import demonstrate
     from srlrace.hydra_bridge import compose
 
     setup_logging()
-    table, path = find_bound(compose(overrides or []), race, stop, restarts, again, out_file)
+    config = compose(overrides or [])
+    table, path = demonstrate(config, again) if teach else find_bound(config, race, stop, restarts, again, out_file)
     out.print(table)
     say(f"wrote {path}")
 

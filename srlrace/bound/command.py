@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from srlrace.bound.demonstration import Demonstration, load_demonstration, save_demonstration
 from srlrace.bound.problem import Problem, problem_of
 from srlrace.bound.record import write_recording
 from srlrace.bound.store import cache_folder, load, save
@@ -32,6 +33,31 @@ def bound(config: Config, race: bool, stop: bool, restarts: int, again: bool, ou
     path.parent.mkdir(parents=True, exist_ok=True)
     write_recording(path, config, problem, reference)
     return _table(config, problem, reference), path
+
+
+def demonstrate(config: Config, again: bool) -> tuple[Table, Path]:
+    """Find the flight that ``curriculum=taught`` shows and keep it; returns what to print, and its file."""
+    found, problem = None if again else load_demonstration(config), problem_of(config, "race")
+    if found is None:
+        reference = load(problem)
+        if reference is None:
+            reference = solve(config, problem, 1)
+            save(problem, reference)
+        found = _demonstrated(config, reference.trajectory)
+    path = save_demonstration(config, found)
+    table = Table(show_header=False, box=None)
+    table.add_row("track", f"{config.env.name}, level {config.level.name}, from rest")
+    table.add_row("demonstrated", f"{found.duration:.3f} s")
+    table.add_row("kind", "of the quadrotor as simulated, with room for errors; what curriculum=taught shows at first")
+    return table, path
+
+
+def _demonstrated(config: Config, reference: Trajectory) -> Demonstration:
+    if importlib.util.find_spec("casadi") is None:
+        raise ConfigError("srlrace bound needs CasADi to solve; install it with: pip install 'srlrace[bound]'")
+    from srlrace.bound.demonstrate import find_demonstration
+
+    return find_demonstration(config, reference)
 
 
 def solve(config: Config, problem: Problem, restarts: int) -> Reference:

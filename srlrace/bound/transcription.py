@@ -80,6 +80,9 @@ def solve(
     _keep_clear(rules, problem, x, steps, clear)
     if model.control_norm is not None:
         rules.add(ca.vec(ca.sum1(u**2)), 0, model.control_norm**2)
+    if model.asked is not None:  # at both ends of an interval, over which the command is held
+        for state in (x[:, :-1], x[:, 1:]):
+            rules.add(ca.vec(model.asked.map(n)(state, u)), 0, problem.quad.thrust_max)
     if problem.lap:
         _close_lap(rules, x)
     scale = model.control_norm or float(model.control_high[0])

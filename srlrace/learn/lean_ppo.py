@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from srlrace.learn import update
 from srlrace.learn.perceptron import Floats, Perceptrons
 from srlrace.learn.policy import log_deviations
+from srlrace.learn.teacher import Teacher
 
 
 class LeanPPO(PPO):
@@ -32,6 +33,7 @@ class LeanPPO(PPO):
     """
 
     noise_correlation = 0.0  # of the exploration noise, from one step to the next; SB3's is white
+    teacher: Teacher | None = None  # SB3 has none
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -68,9 +70,14 @@ class LeanPPO(PPO):
         buffer, truncated = rollout_buffer, []
         noise = correlate(torch.randn(n_rollout_steps, env.num_envs, *box.shape).numpy(), self.noise_correlation)
         log_std = np.empty_like(noise)
+        teacher = self.teacher if self.teacher and self.teacher.weight > 0.0 else None
+        taught = n_rollout_steps if teacher else 0
+        self._lessons = np.zeros((taught, *noise.shape[1:]), np.float32), np.zeros((taught, env.num_envs), np.float32)
         for step in range(n_rollout_steps):
             buffer.observations[step] = self._last_obs
             buffer.episode_starts[step] = self._last_episode_starts
+            if teacher:
+                teacher.advise(self._lessons[0][step], self._lessons[1][step])
             output = self.networks.evaluate(self.actor, buffer.observations[step])
             spread = log_deviations(self.policy, torch.from_numpy(output))
             log_std[step] = spread.numpy()
@@ -118,6 +125,9 @@ class LeanPPO(PPO):
         steps, drones = buffer.rewards.shape
         observations, actions = (a.reshape(steps * drones, -1) for a in (buffer.observations, buffer.actions))
         samples = [a.reshape(-1) for a in (buffer.log_probs, buffer.advantages, buffer.returns)]
+        wanted, counts = self._lessons
+        weight = self.teacher.weight if self.teacher else 0.0
+        lessons = wanted.reshape(-1, actions.shape[1]), counts.reshape(-1) * np.float32(weight)
         statistics, minibatches = np.zeros(update.STATISTICS), 0
         for _ in range(self.n_epochs):
             order = np.random.permutation(steps * drones)  # SB3 numbers samples drone by drone
@@ -126,7 +136,7 @@ class LeanPPO(PPO):
                 update.gradient_step(
                     self.networks.memory, self.actor, self.critic, self.networks.activation,
                     self.parameters, self.gradient, rows[first : first + self.batch_size], observations, actions,
-                    *samples, clip, self.ent_coef, self.vf_coef, self.normalize_advantage, statistics,
+                    *samples, lessons, clip, self.ent_coef, self.vf_coef, self.normalize_advantage, statistics,
                 )  # fmt: skip
                 minibatches += 1
                 update.adam(

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 
-from srlrace.config import AlgoConfig, Config
+from srlrace.bound.demonstration import load_demonstration
+from srlrace.config import AlgoConfig, Config, ConfigError
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, policy_class, state_arrays
+from srlrace.learn.teacher import Teacher
 from srlrace.learn.tensors import TensorFileError
 from srlrace.sim.airframe import GRAVITY
 from srlrace.task.vec_env import RaceVecEnv
@@ -52,9 +54,23 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
     )
     if isinstance(model, LeanPPO):
         model.noise_correlation = algo.noise_correlation
+        model.teacher = find_teacher(config, env)
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
+
+
+def find_teacher(config: Config, env: RaceVecEnv) -> Teacher | None:
+    """Return the teacher that the curriculum asks for; `ConfigError` where it has no flight to show."""
+    if config.curriculum.teaching == 0.0:
+        return None
+    shown = load_demonstration(config)
+    if shown is None:
+        raise ConfigError(
+            "curriculum.teaching: no flight of this track, level and quadrotor is on file; find one with: "
+            "srlrace bound --demonstrate, and the same settings"
+        )
+    return Teacher(shown, env.race)
 
 
 def start_hovering(model: PPO, env: RaceVecEnv) -> None:

@@ -24,6 +24,7 @@ from srlrace.learn.display import Display
 from srlrace.learn.events import EventFile
 from srlrace.learn.finite import Diverged, check_rollout, check_update
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
+from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import save_policy
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.progress import LEARNER, ProgressFile, outcome_ratios, write_scalars
@@ -123,6 +124,9 @@ class Training:
                 self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)
         self.env.race.refresh(steps)
+        teacher = self.model.teacher if isinstance(self.model, LeanPPO) else None
+        if teacher:
+            teacher.begin_rollout(steps, self.config.algo.total_steps)
 
     def _keep_snapshot(self, steps: int) -> None:
         """Keep the policy of the first boundary after each of `SNAPSHOTS` equal parts of the budget."""

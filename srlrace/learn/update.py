@@ -52,16 +52,17 @@ def advantage_scale(advantages, order, normalise):
 @kernel
 def policy_gradient(
     memory, last, rows, actions, old_log_probs, advantages, scale, log_std, log_std_gradient,
-    clip, ent_coef, weight, out,
+    lessons, clip, ent_coef, weight, out,
 ):  # fmt: skip
     """Write the gradient of the clipped objective for the samples of a block; add up statistics and log_std's gradient.
 
     `last` is the row of the policy's last layer, `scale` what `advantage_scale` returned, `weight` one over the size of
     the minibatch. A policy that gives means alone has the standard deviations exp(log_std), and the entropy bonus is
     added by the caller; one that gives twice as many numbers adds the second half to log_std (`standardise_by_state`).
+    `lessons` are actions that the means are drawn to, and how much each sample's counts; none of them is no lesson.
     """
     mean, deviation = scale
-    size, by_state = len(log_std), last[OUTPUTS] > len(log_std)
+    size, by_state, taught = len(log_std), last[OUTPUTS] > len(log_std), len(lessons[1]) > 0
     if by_state:
         constant = size * LOG_SQRT_TAU
         standardise_by_state(memory, last, rows, actions, log_std)
@@ -88,12 +89,25 @@ def policy_gradient(
                 wider = (wider - weight * ent_coef) * memory[gradient + size + k]
                 memory[gradient + size + k] = wider
             log_std_gradient[k] += wider
-            d[k] *= flow * z[k]
+            if taught:
+                pull = weight * lesson_gradient(lessons, rows[n], k, actions[rows[n], k] - z[k] / d[k])
+                d[k] = d[k] * flow * z[k] + pull
+            else:
+                d[k] *= flow * z[k]
         out[POLICY_LOSS] -= weight * min(surrogate, clipped)
         out[KL] += weight * (ratio - 1.0 - log_ratio)
         out[CLIP_FRACTION] += weight * (abs(ratio - 1.0) > clip)
         if by_state:
             out[ENTROPY] += weight * (spread + constant + 0.5 * size)
+
+
+@kernel
+def lesson_gradient(lessons, row, k, mean):
+    """Gradient of the weighted squared error of the mean of action `k`; none where both are at or beyond its limit."""
+    wanted = lessons[0][row, k]
+    if (wanted >= 1.0 and mean >= 1.0) or (wanted <= -1.0 and mean <= -1.0):
+        return 0.0
+    return 2.0 * lessons[1][row] * (mean - wanted)
 
 
 @kernel
@@ -145,7 +159,7 @@ def value_gradient(memory, last, rows, returns, vf_coef, weight, out):
 @kernel
 def gradient_step(
     memory, actor, critic, activation, parameters, gradient, order,
-    observations, actions, old_log_probs, advantages, returns, clip, ent_coef, vf_coef, normalise, out,
+    observations, actions, old_log_probs, advantages, returns, lessons, clip, ent_coef, vf_coef, normalise, out,
 ):  # fmt: skip
     """Write the gradient of PPO's loss on the samples `order` of a rollout, and add its statistics to `out`.
 
@@ -169,7 +183,7 @@ def gradient_step(
         forward(memory, actor, activation, count)
         policy_gradient(
             memory, actor[len(actor) - 1], rows, actions, old_log_probs, advantages, scale,
-            log_std, log_std_gradient, clip, ent_coef, weight, out,
+            log_std, log_std_gradient, lessons, clip, ent_coef, weight, out,
         )  # fmt: skip
         backward(memory, actor, activation, count)
         forward(memory, critic, activation, count)

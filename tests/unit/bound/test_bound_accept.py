@@ -12,7 +12,7 @@ import pytest
 
 from srlrace.bound.accept import Rejected, accept
 from srlrace.bound.problem import problem_of
-from srlrace.bound.store import SHIPPED, load, save, unseen_times
+from srlrace.bound.store import SHIPPED, UNSEEN, load, save, unseen_times
 from srlrace.bound.trajectory import NODES
 from srlrace.config import to_dict
 from srlrace.evaluation.suites import UNSEEN_MAPS
@@ -133,7 +133,7 @@ def test_a_damaged_store_is_no_reference(solved, tmp_path, monkeypatch):
 
 
 def test_every_shipped_file_is_a_whole_reference():
-    files = list(SHIPPED.rglob("*.npz"))
+    files = [*SHIPPED.glob("*.npz"), *UNSEEN.glob("*.npz")]
     assert files
     for path in files:
         with np.load(path, allow_pickle=False) as data:
