@@ -258,6 +258,10 @@ class AlgoConfig:
         "the standard deviation of the actions depends on the state: a second half of the policy's outputs",
         default=False,
     )
+    averaged: float = setting(
+        "share of the training, at its end, whose weights are averaged; 0: the last ones alone",
+        low=0.0, high=1.0, default=0.0,
+    )  # fmt: skip
     threads: int = setting("torch threads, pinned", low=1, high=256, default=1)
 
 

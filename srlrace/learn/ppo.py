@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
+from torch import nn
 
 from srlrace.bound.demonstration import load_demonstration
 from srlrace.config import AlgoConfig, Config, ConfigError
@@ -76,9 +77,7 @@ def find_teacher(config: Config, env: RaceVecEnv) -> Teacher | None:
 def start_hovering(model: PPO, env: RaceVecEnv) -> None:
     """Bias the untrained policy to hover thrust: an action of zero is twice that, and leaves through the ceiling."""
     with torch.no_grad():
-        cast(torch.nn.Linear, model.policy.action_net).bias[0] = (
-            2.0 * GRAVITY / float(env.race.rules.max_collective) - 1.0
-        )
+        cast(nn.Linear, model.policy.action_net).bias[0] = 2.0 * GRAVITY / float(env.race.rules.max_collective) - 1.0
 
 
 def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
@@ -96,16 +95,17 @@ def load_optimizer(optimizer: torch.optim.Optimizer, arrays: dict[str, NDArray[A
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
-def capture(model: PPO, env: RaceVecEnv) -> dict[str, NDArray[Any]]:
+def capture(model: PPO, env: RaceVecEnv, average: nn.Module | None = None) -> dict[str, NDArray[Any]]:
     """Return everything that the rest of the training depends on, valid between two rollouts.
 
     Policy, Adam, the random numbers of torch and numpy (SB3 shuffles minibatches with numpy's global
     generator), the race with its streams and remembered passings, last observation, episode starts and
-    counters. The rollout buffer is empty then.
+    counters; the ``average`` of policies, where one is kept. The rollout buffer is empty then.
     """
     numpy_state = np.random.get_state(legacy=False)
     groups = {
         "policy": state_arrays(model.policy),
+        "average": state_arrays(average) if average else {},
         "optimizer": optimizer_arrays(model.policy.optimizer),
         "race": env.race.snapshot(),
         "random": {
@@ -123,19 +123,21 @@ def capture(model: PPO, env: RaceVecEnv) -> dict[str, NDArray[Any]]:
     return {f"{group}/{name}": np.array(array) for group, arrays in groups.items() for name, array in arrays.items()}
 
 
-def reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]]) -> None:
+def reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]], average: nn.Module | None = None) -> None:
     """Continue from what `capture` returned; `TensorFileError` when it is not the state of such a training."""
     try:
-        _reinstate(model, env, arrays)
+        _reinstate(model, env, arrays, average)
     except (KeyError, ValueError, TypeError, IndexError, RuntimeError) as error:
         raise TensorFileError(f"checkpoint: not the state of this training ({error})") from None
 
 
-def _reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]]) -> None:
+def _reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]], average: nn.Module | None) -> None:
     def group(name: str) -> dict[str, NDArray[Any]]:
         return {key.split("/", 1)[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
 
     load_state(model.policy, group("policy"), "checkpoint")
+    if average:
+        load_state(average, group("average"), "checkpoint")
     load_optimizer(model.policy.optimizer, group("optimizer"))
     env.race.restore(group("race"))
     random, loop = group("random"), group("loop")

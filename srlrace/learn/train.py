@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 from srlrace.config import Config, ConfigError, load_config, run_id, to_dict
 from srlrace.files import atomic_write, naming, read_limited, write_sealed
@@ -25,7 +26,7 @@ from srlrace.learn.events import EventFile
 from srlrace.learn.finite import Diverged, check_rollout, check_update
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.lean_ppo import LeanPPO
-from srlrace.learn.policy import save_policy
+from srlrace.learn.policy import build_policy, save_policy
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.progress import LEARNER, ProgressFile, outcome_ratios, write_scalars
 from srlrace.provenance import changes, circumstances, provenance
@@ -66,13 +67,14 @@ class Training:
     def __init__(self, config: Config, folder: RunFolder, display: Display, request: StopRequest) -> None:
         self.config, self.folder = config, folder
         self._display, self._request = display, request
+        self._average = build_policy(config) if config.algo.averaged > 0.0 else None  # before the seeds are set
         self.env = RaceVecEnv(config)
         self.model = build_ppo(config, self.env)
         self._circumstances = circumstances(torch.get_num_threads())
         checkpoint = load_checkpoint(folder.file("checkpoint"))
         facts = checkpoint.facts if checkpoint else {}
         if checkpoint is not None:
-            reinstate(self.model, self.env, checkpoint.arrays)
+            reinstate(self.model, self.env, checkpoint.arrays, self._average)
             logger.info("%s resumes at step %d", folder.id, checkpoint.steps)
             for change in changes(facts, self._circumstances):
                 logger.warning("%s: the result will not be that of an undisturbed run to the last bit", change)
@@ -93,6 +95,17 @@ class Training:
         """Seconds spent on this run, earlier attempts included."""
         return self._spent + time.monotonic() - self._began
 
+    @property
+    def policy(self) -> ActorCriticPolicy:
+        """What the training has come to: the average of the last part's policies, once that has begun."""
+        return self._average if self._average and self._averaged() else self.model.policy
+
+    def _averaged(self) -> int:
+        """Policies that the average is of by now."""
+        algo, rollout = self.config.algo, self.config.algo.n_envs * self.config.algo.n_steps
+        before = int((1.0 - algo.averaged) * algo.total_steps) // rollout
+        return max(self.model.num_timesteps // rollout - before, 0)
+
     def run(self) -> None:
         """Train to the end of the budget and write the policy; a signal leaves with the newest state saved."""
         remaining = self.config.algo.total_steps - self.model.num_timesteps
@@ -109,7 +122,7 @@ class Training:
             self.between_rollouts(final=True)
             finished = {"steps": self.model.num_timesteps, "train_wall_s": round(self.wall, 3)}
             write_sealed(self.folder.path / "run.json", self.folder.info | finished)
-            save_policy(self.model.policy, self.folder.path / "policy.safetensors")  # last: it says that all is done
+            save_policy(self.policy, self.folder.path / "policy.safetensors")  # last: it says that all is done
 
     def between_rollouts(self, final: bool = False) -> None:
         """Everything that happens when one rollout has been learned from and the next has not begun."""
@@ -117,9 +130,10 @@ class Training:
         if steps > self._seen_steps:
             check_update(self.model)
             self._seen_steps = steps
+            self._extend_average()
             self._report(final)
             self._keep_snapshot(steps)
-            self._newest = Checkpoint(steps, capture(self.model, self.env), {})
+            self._newest = Checkpoint(steps, capture(self.model, self.env, self._average), {})
             if final or time.monotonic() - self._saved >= SAVE_EVERY:
                 self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)
@@ -128,6 +142,13 @@ class Training:
         if teacher:
             teacher.begin_rollout(steps, self.config.algo.total_steps)
 
+    @torch.no_grad()
+    def _extend_average(self) -> None:
+        """Let the average of policies include this one, if the part of the training that it is of has begun."""
+        if self._average and (count := self._averaged()):
+            for mean, parameter in zip(self._average.parameters(), self.model.policy.parameters(), strict=True):
+                mean.lerp_(parameter, 1.0 / count)
+
     def _keep_snapshot(self, steps: int) -> None:
         """Keep the policy of the first boundary after each of `SNAPSHOTS` equal parts of the budget."""
         algo = self.config.algo
@@ -135,7 +156,7 @@ class Training:
         if steps * SNAPSHOTS // algo.total_steps > before * SNAPSHOTS // algo.total_steps:
             folder = self.folder.file("snapshots")
             folder.mkdir(exist_ok=True)
-            save_policy(self.model.policy, folder / f"{steps}.safetensors")
+            save_policy(self.policy, folder / f"{steps}.safetensors")
 
     def _report(self, final: bool) -> None:
         steps = self.model.num_timesteps

@@ -2,6 +2,7 @@
 
 import csv
 import ctypes
+import dataclasses
 import json
 import logging
 import signal
@@ -15,6 +16,7 @@ from srlrace.config import load_config, run_id
 from srlrace.learn import train as training
 from srlrace.learn.checkpoint import load_checkpoint
 from srlrace.learn.interrupt import Interrupted, stop_request
+from srlrace.learn.policy import load_policy, state_arrays
 from srlrace.learn.progress import COLUMNS, ProgressFile, figures_text, outcome_ratios
 from srlrace.learn.train import Diverged, Training, train
 from srlrace.runs import RunError, RunFolder, State
@@ -80,8 +82,6 @@ def test_progress_has_every_term_by_name(tiny, reference):
 
 
 def test_other_seeds_are_other_runs(config, tiny, reference, tmp_path):
-    import dataclasses
-
     other = train(dataclasses.replace(tiny, seed=1), tmp_path)
     assert (other / "policy.safetensors").read_bytes() != (reference / "policy.safetensors").read_bytes()
 
@@ -384,3 +384,39 @@ def test_progress_is_cut_back_to_the_checkpoint(tmp_path):
     assert "-0.123457" in rows[2]
     ProgressFile(path, 10**9).close()
     assert path.read_text().splitlines() == rows
+
+
+@pytest.fixture(scope="module")
+def averaging(tiny):
+    """A configuration whose policy is the mean of those of the last third: four of twelve."""
+    return dataclasses.replace(tiny, algo=dataclasses.replace(tiny.algo, averaged=1 / 3))
+
+
+def test_the_last_policies_are_averaged(averaging, reference, tmp_path, monkeypatch):
+    flown = []
+    report = Training._report
+
+    def patched(self, final):
+        flown.append({name: array.copy() for name, array in state_arrays(self.model.policy).items()})
+        report(self, final)
+
+    monkeypatch.setattr(Training, "_report", patched)
+    run = train(averaging, tmp_path)
+    assert len(flown) == TOTAL // ROLLOUT
+    last = state_arrays(load_policy(averaging, reference / "policy.safetensors"))
+    for name, mean in state_arrays(load_policy(averaging, run / "policy.safetensors")).items():
+        np.testing.assert_allclose(mean, np.mean([arrays[name] for arrays in flown[-4:]], axis=0), atol=1e-6)
+        np.testing.assert_array_equal(flown[-1][name], last[name])  # the training itself is the same
+    assert (run / "snapshots" / f"{TOTAL}.safetensors").read_bytes() == (run / "policy.safetensors").read_bytes()
+    first = run / "snapshots" / f"{ROLLOUT}.safetensors"
+    assert first.read_bytes() == (reference / "snapshots" / first.name).read_bytes()
+
+
+@pytest.mark.parametrize("number", [5, 9], ids=["before the average begins", "within it"])
+def test_an_average_is_resumed_exactly(averaging, tmp_path, monkeypatch, number):
+    undisturbed = train(averaging, tmp_path / "undisturbed")
+    with monkeypatch.context() as patch:
+        on_report(patch, number, lambda _: signal.raise_signal(signal.SIGTERM))
+        with pytest.raises(Interrupted):
+            train(averaging, tmp_path)
+    assert same_result(train(averaging, tmp_path), undisturbed)
