@@ -13,7 +13,7 @@ from srlrace.files import atomic_write, read_limited
 from srlrace.report.learning_figure import PROGRESS_LIMIT
 from srlrace.runs import TABLES, RunFolder, State, list_runs
 
-ROWS = 150  # of progress.csv, evenly spaced
+ROWS = 100  # of progress.csv, evenly spaced
 WHOLE = ("config.json", "run.json", "policy.safetensors")  # files that are copied as they are
 POLICY_LIMIT = 64 * 2**20  # bytes
 
