@@ -269,7 +269,7 @@ def bound(
     stop: Annotated[bool, typer.Option("--stop", help="End at rest.")] = False,
     restarts: Annotated[int, typer.Option(min=1, max=100, help="First guesses that are followed to the end.")] = 3,
     again: Annotated[bool, typer.Option("--again", help="Solve even what is stored.")] = False,
-    teach: Annotated[
+    demonstrate: Annotated[
         bool, typer.Option("--demonstrate", help="Find the flight that training with curriculum=taught is shown.")
     ] = False,
     out_file: Annotated[
@@ -281,12 +281,18 @@ def bound(
     Settings are those of training: env=forest level=3, quad.thrust_max=6.09, env.passing_radius=0.2 and the like.
     """
     from srlrace.bound.command import bound as find_bound
-    from srlrace.bound.command import demonstrate
+    from srlrace.bound.command import demonstrate as find_demonstration
     from srlrace.hydra_bridge import compose
+    from srlrace.parse import ConfigError
 
     setup_logging()
     config = compose(overrides or [])
-    table, path = demonstrate(config, again) if teach else find_bound(config, race, stop, restarts, again, out_file)
+    if demonstrate and (race or stop or out_file):
+        raise ConfigError("--demonstrate: goes without --race, --stop and --out")
+    if demonstrate:
+        table, path = find_demonstration(config, again)
+    else:
+        table, path = find_bound(config, race, stop, restarts, again, out_file)
     out.print(table)
     say(f"wrote {path}")
 

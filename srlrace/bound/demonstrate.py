@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from srlrace.bound.accept import Rejected
 from srlrace.bound.demonstration import Demonstration, with_room
 from srlrace.bound.model import actuated_body, quick_body
 from srlrace.bound.problem import problem_of
-from srlrace.bound.solver import settle
+from srlrace.bound.solver import BoundError, settle
 from srlrace.bound.trajectory import NODES, Array, Trajectory
 from srlrace.bound.transcription import Nodes
 from srlrace.schema import Config
@@ -16,7 +17,7 @@ SLOWER = 1.1  # the first guess takes as many times longer than the reference, w
 
 
 def find_demonstration(config: Config, reference: Trajectory) -> Demonstration:
-    """Solve from the reference of the whole race; raises `srlrace.bound.accept.Rejected` where that leads nowhere."""
+    """Solve from the reference of the whole race; raises `BoundError` where that leads nowhere."""
     problem = with_room(problem_of(config, "race"))
     collective = reference.thrust.sum(axis=1, keepdims=True) / problem.quad.mass
     limit = np.array(problem.quad.body_rate_max)
@@ -25,8 +26,11 @@ def find_demonstration(config: Config, reference: Trajectory) -> Demonstration:
         np.hstack([collective, np.clip(reference.state[1:, 10:13], -limit, limit)]),
         reference.step * SLOWER,
     )
-    with quick_body(problem, actuated_body) as body:
-        nodes = settle(problem, body, guess, set())
+    try:
+        with quick_body(problem, actuated_body) as body:
+            nodes = settle(problem, body, guess, set())
+    except Rejected as failure:
+        raise BoundError(f"no demonstration found: {failure}") from None
     return sample(config, nodes)
 
 

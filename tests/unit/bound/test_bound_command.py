@@ -57,3 +57,26 @@ def test_a_lap_has_no_end_to_stop_at():
 
     with pytest.raises(ConfigError, match="--race"):
         command.bound(compose(["env=split_s"]), False, True, 1, False, None)
+
+
+def test_a_demonstration_is_found_kept_and_taught(track, tmp_path, monkeypatch):
+    _, env = track
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    words = [env, "level=none", "randomization=none"]
+    first = CliRunner().invoke(app, ["bound", *words, "--demonstrate"])
+    assert first.exit_code == 0, first.output
+    [path] = (tmp_path / "cache" / "srlrace" / "bound" / "demonstrations").glob("*.npz")
+    assert str(path) in first.output.replace("\n", "")
+    monkeypatch.setattr(command, "_demonstrated", None)  # a second time nothing is solved
+    again = CliRunner().invoke(app, ["bound", *words, "--demonstrate"])
+    assert again.exit_code == 0, again.output
+    small = ["algo.n_envs=8", "algo.n_steps=16", "algo.batch_size=64", "algo.total_steps=256"]
+    taught = CliRunner().invoke(app, ["train", *words, "curriculum=taught", *small, "--runs", str(tmp_path / "runs")])
+    assert taught.exit_code == 0, taught.output
+
+
+def test_a_demonstration_goes_without_options_of_the_reference(track, tmp_path):
+    _, env = track
+    refused = CliRunner().invoke(app, ["bound", env, "--demonstrate", "--out", str(tmp_path / "flight.mcap")])
+    assert isinstance(refused.exception, ConfigError)
+    assert not (tmp_path / "flight.mcap").exists()
