@@ -94,8 +94,8 @@ def _read(path: Path, targets: int) -> Demonstration:
         passing, duration = np.asarray(data["passing"], np.int64), float(data["duration"])
     n = len(action)
     fits = state.shape == (n + 1, 17) and action.shape == (n, 4) and passing.shape == (targets,) and n >= targets
-    if not fits or not (np.isfinite(state).all() and np.isfinite(action).all() and 0.0 < duration < np.inf):
-        raise FileError(f"cannot read {path}: not a demonstration")
-    if (np.diff(passing, prepend=0) < 1).any() or passing[-1] > n or (np.abs(state[:, 6:10]).max(axis=1) < 0.4).any():
+    finite = fits and np.isfinite(state).all() and np.isfinite(action).all() and 0.0 < duration < np.inf
+    unit = finite and np.allclose(np.linalg.norm(state[:, 6:10], axis=1), 1.0, atol=1e-3)
+    if not unit or (np.diff(passing, prepend=0) < 1).any() or passing[-1] > n:
         raise FileError(f"cannot read {path}: not a demonstration")
     return Demonstration(state, action, passing, duration)

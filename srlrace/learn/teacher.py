@@ -18,7 +18,8 @@ from srlrace.sim.dynamics import advance
 from srlrace.task.arrays import Rules
 from srlrace.task.race import Race, ramp
 
-# How the regulator weighs errors against corrections, ours: a metre as 0.1 of the full range of an action.
+# How the regulator weighs errors against corrections, ours: 0.4 m as much as half the range of the collective, 0.3 m as
+# half that of a rate.
 ERROR_COST = np.diag([100.0] * 3 + [4.0] * 3 + [30.0] * 3 + [0.1] * 3 + [0.01] * 4)
 ACTION_COST = np.diag([20.0, 10.0, 10.0, 10.0])
 FINAL_COST = 10.0  # times ERROR_COST, of errors at the end
@@ -61,11 +62,12 @@ class Teacher:
             count = size if steps == 0 else max(1, round(OFFERED * size))
             at = shown.passing[target - 1]
             state = displaced(np.repeat(shown.state[at : at + 1], count, 0), rng.normal(size=(count, ERRORS)) * SPREAD)
-            plant = np.append(rules.drag, 1.0)
+            clock = min(int(at), rules.horizon_steps - 1)
+            rest = np.concatenate(
+                [rules.drag, [1.0], rules.waypoints.ravel(), [clock, 0]]
+            )  # plant, waypoints, steps, map
             rows = rng.choice(size, count, replace=False)
-            memory.record[target, rows] = np.hstack(
-                [state, np.tile(np.concatenate([plant, rules.waypoints.ravel(), [at, 0]]), (count, 1))]
-            )
+            memory.record[target, rows] = np.hstack([state, np.tile(rest, (count, 1))])
             memory.count[target] = max(memory.count[target], size)
 
 
