@@ -22,7 +22,8 @@ def check(config: Config) -> None:
     _check_lift(config)
     _check_batch(config)
     _check_curriculum(config.curriculum)
-    _check_teaching(config)
+    if config.curriculum.teaching > 0.0:
+        check_single_map(config, "curriculum.teaching")
     check_memory(config, MEMORY_LIMIT)
 
 
@@ -40,13 +41,11 @@ def _check_curriculum(curriculum: CurriculumConfig) -> None:
             raise ConfigError(f"curriculum.{first}: got {begin:g}; takes at most curriculum.{last}, which is {end:g}")
 
 
-def _check_teaching(config: Config) -> None:
+def check_single_map(config: Config, what: str) -> None:
+    """Refuse several maps for ``what``, which has to do with a flight through one; raises `ConfigError`."""
     maps = max(config.level.maps, config.randomization.maps)
-    if config.curriculum.teaching > 0.0 and maps > 1:
-        raise ConfigError(
-            f"curriculum.teaching: got {config.curriculum.teaching:g} with {maps} maps; takes 0 unless there is "
-            "one map, through which the flight that is shown leads"
-        )
+    if maps > 1:
+        raise ConfigError(f"{what}: there are {maps} maps; takes a single one, through which the flight leads")
 
 
 def _check_track(track: TrackConfig) -> None:

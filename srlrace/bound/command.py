@@ -14,6 +14,7 @@ from srlrace.bound.problem import Problem, problem_of
 from srlrace.bound.record import write_recording
 from srlrace.bound.store import cache_folder, load, save
 from srlrace.bound.trajectory import Array, Reference, Trajectory
+from srlrace.checks import check_single_map
 from srlrace.config import Config, ConfigError
 from srlrace.world.flyable import clear_path
 
@@ -37,6 +38,7 @@ def bound(config: Config, race: bool, stop: bool, restarts: int, again: bool, ou
 
 def demonstrate(config: Config, again: bool) -> tuple[Table, Path]:
     """Find the flight that ``curriculum=taught`` shows and keep it; returns what to print, and its file."""
+    check_single_map(config, "--demonstrate")
     found, problem = None if again else load_demonstration(config), problem_of(config, "race")
     if found is None:
         reference = load(problem)
@@ -53,8 +55,7 @@ def demonstrate(config: Config, again: bool) -> tuple[Table, Path]:
 
 
 def _demonstrated(config: Config, reference: Trajectory) -> Demonstration:
-    if importlib.util.find_spec("casadi") is None:
-        raise ConfigError("srlrace bound needs CasADi to solve; install it with: pip install 'srlrace[bound]'")
+    _need_solver()
     from srlrace.bound.demonstrate import find_demonstration
 
     return find_demonstration(config, reference)
@@ -62,8 +63,7 @@ def _demonstrated(config: Config, reference: Trajectory) -> Demonstration:
 
 def solve(config: Config, problem: Problem, restarts: int) -> Reference:
     """Solve a problem; with obstacles, the way through them is sought near the flight without them."""
-    if importlib.util.find_spec("casadi") is None:
-        raise ConfigError("srlrace bound needs CasADi to solve; install it with: pip install 'srlrace[bound]'")
+    _need_solver()
     from srlrace.bound.solver import find_reference
 
     if not problem.obstacles:
@@ -75,6 +75,11 @@ def solve(config: Config, problem: Problem, restarts: int) -> Reference:
         save(free_problem, free)
     logger.info("without obstacles: %.3f s", free.time)
     return find_reference(problem, restarts, clear_paths(config, problem, free.trajectory), free)
+
+
+def _need_solver() -> None:
+    if importlib.util.find_spec("casadi") is None:
+        raise ConfigError("srlrace bound needs CasADi to solve; install it with: pip install 'srlrace[bound]'")
 
 
 def clear_paths(config: Config, problem: Problem, free: Trajectory) -> list[list[Array]]:

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from srlrace.learn import update
-from srlrace.learn.perceptron import Floats, Perceptrons
+from srlrace.learn.perceptron import OUTPUTS, Floats, Perceptrons
 from srlrace.learn.policy import log_deviations
 from srlrace.learn.teacher import Teacher
 
@@ -69,7 +69,11 @@ class LeanPPO(PPO):
         self.networks.load(self.parameters)
         buffer, truncated = rollout_buffer, []
         noise = correlate(torch.randn(n_rollout_steps, env.num_envs, *box.shape).numpy(), self.noise_correlation)
-        log_std = np.empty_like(noise)
+        by_state = int(self.actor[-1, OUTPUTS]) > box.shape[0]
+        log_std = np.broadcast_to(self.policy.log_std.numpy(), noise.shape)
+        deviation = noise * self.policy.log_std.exp().numpy()
+        if by_state:
+            log_std = log_std.copy()
         teacher = self.teacher if self.teacher and self.teacher.weight > 0.0 else None
         taught = n_rollout_steps if teacher else 0
         self._lessons = np.zeros((taught, *noise.shape[1:]), np.float32), np.zeros((taught, env.num_envs), np.float32)
@@ -79,9 +83,10 @@ class LeanPPO(PPO):
             if teacher:
                 teacher.advise(self._lessons[0][step], self._lessons[1][step])
             output = self.networks.evaluate(self.actor, buffer.observations[step])
-            spread = log_deviations(self.policy, torch.from_numpy(output))
-            log_std[step] = spread.numpy()
-            action = np.add(output[:, : box.shape[0]], noise[step] * spread.exp().numpy(), buffer.actions[step])
+            if by_state:
+                spread = log_deviations(self.policy, torch.from_numpy(output))
+                log_std[step], deviation[step] = spread.numpy(), noise[step] * spread.exp().numpy()
+            action = np.add(output[:, : box.shape[0]], deviation[step], buffer.actions[step])
             observation, rewards, dones, infos = env.step(np.clip(action, box.low, box.high))
             self.num_timesteps += env.num_envs
             callback.update_locals({"infos": infos, "dones": dones, "rewards": rewards})

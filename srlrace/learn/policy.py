@@ -61,9 +61,8 @@ class StatePolicy(ActorCriticPolicy):
 
 
 def log_deviations(policy: ActorCriticPolicy, output: Tensor) -> Tensor:
-    """Log standard deviations that go with the policy network's ``output`` (n, 4 or 8): (n, 4), or (4,) for all n."""
-    offsets = output[:, policy.log_std.numel() :]
-    return (policy.log_std + offsets).clamp(LOG_STD_LOW, LOG_STD_HIGH) if offsets.numel() else policy.log_std
+    """Log standard deviations (n, 4) that go with the ``output`` (n, 8) of a `StatePolicy`'s network."""
+    return (policy.log_std + output[:, policy.log_std.numel() :]).clamp(LOG_STD_LOW, LOG_STD_HIGH)
 
 
 def policy_class(algo: AlgoConfig) -> type[ActorCriticPolicy]:

@@ -7,8 +7,6 @@ themselves come to (kickstarting: Schmitt et al. 2018), by less and less, and th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +15,7 @@ from srlrace.learn.advice import AROUND, ERRORS, advise_all
 from srlrace.sim.dynamics import advance
 from srlrace.task.arrays import Rules
 from srlrace.task.race import Race, ramp
+from srlrace.task.reset import nominal_records
 
 # How the regulator weighs errors against corrections, ours: 0.4 m as much as half the range of the collective, 0.3 m as
 # half that of a rate.
@@ -62,21 +61,9 @@ class Teacher:
             count = size if steps == 0 else max(1, round(OFFERED * size))
             at = shown.passing[target - 1]
             state = displaced(np.repeat(shown.state[at : at + 1], count, 0), rng.normal(size=(count, ERRORS)) * SPREAD)
-            clock = min(int(at), rules.horizon_steps - 1)
-            rest = np.concatenate(
-                [rules.drag, [1.0], rules.waypoints.ravel(), [clock, 0]]
-            )  # plant, waypoints, steps, map
             rows = rng.choice(size, count, replace=False)
-            memory.record[target, rows] = np.hstack([state, np.tile(rest, (count, 1))])
+            memory.record[target, rows] = nominal_records(rules, state, int(at))
             memory.count[target] = max(memory.count[target], size)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """The simulator around a flight: error' = a error + b action error, one control period later."""
-
-    a: Floats  # (n, 16, 16)
-    b: Floats  # (n, 16, 4)
 
 
 def make_plan(shown: Demonstration, rules: Rules) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
@@ -87,19 +74,22 @@ def make_plan(shown: Demonstration, rules: Rules) -> tuple[Floats, Floats, Float
     return shown.state[:n].copy(), shown.action.copy(), regulator(linearise(shown, rules)), ranges
 
 
-def regulator(linear: _Linear) -> Floats:
-    """Gains (n, 4, 16) of the finite-horizon linear-quadratic regulator: action error = -gain error."""
-    gains, cost = np.zeros((len(linear.a), 4, ERRORS)), FINAL_COST * ERROR_COST
+def regulator(along: tuple[Floats, Floats]) -> Floats:
+    """Gains (n, 4, 16) of the finite-horizon linear-quadratic regulator of `linearise`: action error = -gain error."""
+    gains, cost = np.zeros((len(along[0]), 4, ERRORS)), FINAL_COST * ERROR_COST
     for k in range(len(gains) - 1, -1, -1):
-        a, b = linear.a[k], linear.b[k]
+        a, b = along[0][k], along[1][k]
         gains[k] = np.linalg.solve(ACTION_COST + b.T @ cost @ b, b.T @ cost @ a)
         cost = ERROR_COST + a.T @ cost @ (a - b @ gains[k])
         cost = 0.5 * (cost + cost.T)
     return gains
 
 
-def linearise(shown: Demonstration, rules: Rules) -> _Linear:
-    """Differentiate the simulator along a flight, by differences of one control period."""
+def linearise(shown: Demonstration, rules: Rules) -> tuple[Floats, Floats]:
+    """Differentiate the simulator along a flight, by differences of one control period.
+
+    Returns a (n, 16, 16) and b (n, 16, 4): error' = a error + b action error, one period later.
+    """
     n = len(shown.action)
     a, b = np.zeros((n, ERRORS, ERRORS)), np.zeros((n, ERRORS, 4))
     for k, (state, action) in enumerate(zip(shown.state[:n], shown.action, strict=True)):
@@ -110,7 +100,7 @@ def linearise(shown: Demonstration, rules: Rules) -> _Linear:
         steered = fly_once(rules, np.tile(state, (len(actions), 1)), actions)
         a[k] = deviation(moved[1:], moved[0]).T / DIFFERENCE
         b[k] = deviation(steered[1:], steered[0]).T / DIFFERENCE
-    return _Linear(a, b)
+    return a, b
 
 
 def fly_once(rules: Rules, state: Floats, action: Floats) -> Floats:

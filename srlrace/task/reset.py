@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srlrace.sim.compile import inline
-from srlrace.task.arrays import EPISODE_RETURN, MIN_CLEARANCE, PATH_LENGTH, PEAK_BODY_RATE, PEAK_SPEED, Floats, Memory
+from srlrace.task.arrays import (
+    EPISODE_RETURN,
+    MIN_CLEARANCE,
+    PATH_LENGTH,
+    PEAK_BODY_RATE,
+    PEAK_SPEED,
+    Floats,
+    Memory,
+    Rules,
+)
 from srlrace.task.random import symmetric, uniform
 from srlrace.world.field import nearest
 
@@ -159,6 +168,16 @@ def write_record(fleet, row, i):
             at += 1
     row[at] = fleet.steps[i]
     row[at + 1] = fleet.map[i]
+
+
+def nominal_records(rules: Rules, state: Floats, steps: int) -> Floats:
+    """Records, as `write_record` writes them, of states (n, 17) of the nominal quadrotor on the first map.
+
+    No waypoint is displaced; ``steps`` have been flown, or as many as the horizon leaves.
+    """
+    clock = min(steps, rules.horizon_steps - 1)
+    rest = np.concatenate([rules.drag, [1.0], rules.waypoints.ravel(), [clock, 0]])
+    return np.hstack([state, np.tile(rest, (len(state), 1))])
 
 
 @inline

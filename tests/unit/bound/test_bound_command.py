@@ -80,3 +80,10 @@ def test_a_demonstration_goes_without_options_of_the_reference(track, tmp_path):
     refused = CliRunner().invoke(app, ["bound", env, "--demonstrate", "--out", str(tmp_path / "flight.mcap")])
     assert isinstance(refused.exception, ConfigError)
     assert not (tmp_path / "flight.mcap").exists()
+
+
+def test_a_demonstration_is_of_a_single_map():
+    from srlrace.hydra_bridge import compose
+
+    with pytest.raises(ConfigError, match="--demonstrate: there are 100 maps"):
+        command.demonstrate(compose(["env=forest", "level=mixed"]), False)
