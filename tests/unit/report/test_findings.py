@@ -4,7 +4,7 @@ import pytest
 
 from srlrace.report.experiments import PaperCell
 from srlrace.report.model import Cell, Estimate, Numbers
-from srlrace.report.page.findings import _fastest, _gap
+from srlrace.report.page.findings import _fastest, _gap, _safest
 
 
 def cell(method: str, time_s: float | None, t_ref_s: float | None) -> Cell:
@@ -32,3 +32,10 @@ def test_the_gap_names_the_reference_that_it_is_measured_from(cells: list[Cell],
 def test_a_name_that_ends_in_a_full_stop_ends_the_sentence() -> None:
     cells = [cell("srl", 5.0, None), cell("Song et al.", 5.0, None)]
     assert _fastest(cells).endswith("(9 of 9 flights finished), not clearly ahead of Song et al.")
+
+
+def test_a_name_with_commas_stands_in_quotes() -> None:
+    cells = [cell("srl, shown a flight", 5.0, 4.0), cell("srl", 6.0, 4.0)]
+    assert _fastest(cells).startswith("“srl, shown a flight” is fastest")
+    assert _safest(cells) == "“srl, shown a flight” and srl crash in none of the evaluated flights."
+    assert _gap(cells).endswith("by: “srl, shown a flight” 25 %, srl 50 %.")
