@@ -11,7 +11,7 @@ from srlrace.report.collect import Run
 from srlrace.report.layout import number
 from srlrace.report.model import Cell, Estimate, Report, Table
 from srlrace.report.page.html import Html, tag
-from srlrace.report.page.tables import comparison_text
+from srlrace.report.page.tables import comparison_text, in_sentence
 
 NBSP = "\N{NO-BREAK SPACE}"
 
@@ -57,7 +57,7 @@ def _fastest(cells: Sequence[Cell]) -> str:
     best, finished = _time(first), first.numbers
     assert best is not None
     assert finished is not None
-    close = [_name(cell.method) for cell in timed[1:] if _time(cell).low <= best.high]  # type: ignore[union-attr]
+    close = [in_sentence(cell.method) for cell in timed[1:] if _time(cell).low <= best.high]  # type: ignore[union-attr]
     versus = (
         f", not clearly ahead of {' and '.join(close)}"
         if close
@@ -66,14 +66,15 @@ def _fastest(cells: Sequence[Cell]) -> str:
         else ""
     )
     count = f"{finished.finished} of {finished.episodes} flights finished"
-    return f"{_name(first.method)} is fastest at {_with_interval(best, 's')} ({count}){versus}".removesuffix(".") + "."
+    sentence = f"{in_sentence(first.method)} is fastest at {_with_interval(best, 's')} ({count}){versus}"
+    return sentence.removesuffix(".") + "."
 
 
 def _safest(cells: Sequence[Cell]) -> str:
     crashes = {cell.method: cell.numbers.crash_pct for cell in cells if cell.numbers}
     least = min(estimate.value for estimate in crashes.values())
     names = [method for method, estimate in crashes.items() if estimate.value == least]
-    who, verb = " and ".join(map(_name, names)), "crash" if len(names) > 1 else "crashes"
+    who, verb = " and ".join(map(in_sentence, names)), "crash" if len(names) > 1 else "crashes"
     if least == 0:
         return f"{who} {verb} in none of the evaluated flights."
     least_often = _with_interval(crashes[names[0]], "%")
@@ -85,7 +86,7 @@ def _paper(cells: Sequence[Cell]) -> str:
     sides = [(cell.method, time, paper) for cell, time, paper in pairs if time is not None and paper is not None]
     if not sides:
         return ""
-    words = (f"{_name(method)} is {_side(time, paper)} {paper:.2f} s" for method, time, paper in sides)
+    words = (f"{in_sentence(method)} is {_side(time, paper)} {paper:.2f} s" for method, time, paper in sides)
     return f" Beside the paper's times: {', '.join(words)}."
 
 
@@ -96,7 +97,7 @@ def _side(time: Estimate, paper: float) -> str:
 
 
 def _gap(cells: Sequence[Cell]) -> str:
-    gaps = [f"{_name(cell.method)} {cell.gap_pct:.0f} %" for cell in cells if cell.gap_pct is not None]
+    gaps = [f"{in_sentence(cell.method)} {cell.gap_pct:.0f} %" for cell in cells if cell.gap_pct is not None]
     # Over several maps a mean of those that a method finished on, so that methods may differ.
     references = sorted(
         {f"{cell.t_ref_s:.2f}" for cell in cells if cell.gap_pct is not None and cell.t_ref_s is not None}
@@ -141,11 +142,6 @@ def _seeds(report: Report) -> Html:
         "span", f"Cells rest on {span} of {planned} planned training seeds. Intervals over so few are too narrow: read "
         "two that barely miss each other as undecided.",
     )  # fmt: skip
-
-
-def _name(method: str) -> str:
-    """The method's name as part of a sentence: in quotes where its commas would be taken for those of the sentence."""
-    return f"\N{LEFT DOUBLE QUOTATION MARK}{method}\N{RIGHT DOUBLE QUOTATION MARK}" if "," in method else method
 
 
 def _time(cell: Cell) -> Estimate | None:

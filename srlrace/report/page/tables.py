@@ -94,17 +94,23 @@ def _estimate(value: Callable[[str, str], Html], name: str, found: Estimate | No
     return value(f"{name}_{unit}", f"{found.value:.2f}"), tag("span", " [", *ends, "]", class_="interval")
 
 
+def in_sentence(method: str) -> str:
+    """Return a method's name in quotes where its commas would be taken for those of the sentence around it."""
+    return f"\N{LEFT DOUBLE QUOTATION MARK}{method}\N{RIGHT DOUBLE QUOTATION MARK}" if "," in method else method
+
+
 def comparison_text(comparison: Comparison) -> str:
     """Return a paired difference as a sentence that says what it is evidence of."""
+    first, second = in_sentence(comparison.first), in_sentence(comparison.second)
     difference, unit = comparison.difference, "s" if comparison.quantity == "time" else "percentage points"
     seeds = "one common seed, so within-run only" if comparison.seeds == 1 else f"{comparison.seeds} common seeds"
     what = "time" if comparison.quantity == "time" else "crash ratio"
     verdict = "no evidence of a difference"
     if difference.low > 0 or difference.high < 0:
-        verdict = f"{comparison.first} has the {'higher' if difference.low > 0 else 'lower'} {what}"
+        verdict = f"{first} has the {'higher' if difference.low > 0 else 'lower'} {what}"
     value = estimate(difference).replace("-", MINUS)
     return (
-        f"{comparison.environment}, {comparison.first} against {comparison.second}: a difference in {what} of {value} "
+        f"{comparison.environment}, {first} against {second}: a difference in {what} of {value} "
         f"{unit}, paired on {seeds}: {verdict}."
     )
 

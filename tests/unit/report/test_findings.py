@@ -3,8 +3,9 @@
 import pytest
 
 from srlrace.report.experiments import PaperCell
-from srlrace.report.model import Cell, Estimate, Numbers
+from srlrace.report.model import Cell, Comparison, Estimate, Numbers
 from srlrace.report.page.findings import _fastest, _gap, _safest
+from srlrace.report.page.tables import comparison_text
 
 
 def cell(method: str, time_s: float | None, t_ref_s: float | None) -> Cell:
@@ -39,3 +40,6 @@ def test_a_name_with_commas_stands_in_quotes() -> None:
     assert _fastest(cells).startswith("“srl, shown a flight” is fastest")
     assert _safest(cells) == "“srl, shown a flight” and srl crash in none of the evaluated flights."
     assert _gap(cells).endswith("by: “srl, shown a flight” 25 %, srl 50 %.")
+    difference = Comparison("Forest", "srl, shown a flight", "srl", "time", 5, Estimate(-0.5, -0.6, -0.4))
+    assert comparison_text(difference).startswith("Forest, “srl, shown a flight” against srl: a difference in time of")
+    assert comparison_text(difference).endswith("“srl, shown a flight” has the lower time.")
