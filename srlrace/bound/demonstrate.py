@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from srlrace.bound.accept import Rejected
-from srlrace.bound.demonstration import Demonstration, with_room
+from srlrace.bound.bending import bend
+from srlrace.bound.demonstration import Demonstration, displacement_of, room_problem
 from srlrace.bound.model import actuated_body, quick_body
 from srlrace.bound.problem import problem_of
 from srlrace.bound.solver import BoundError, settle
@@ -18,7 +19,7 @@ SLOWER = 1.1  # the first guess takes as many times longer than the reference, w
 
 def find_demonstration(config: Config, reference: Trajectory) -> Demonstration:
     """Solve from the reference of the whole race; raises `BoundError` where that leads nowhere."""
-    problem = with_room(problem_of(config, "race"))
+    problem, displacement = room_problem(config), displacement_of(config)
     collective = reference.thrust.sum(axis=1, keepdims=True) / problem.quad.mass
     limit = np.array(problem.quad.body_rate_max)
     guess = Nodes(
@@ -29,6 +30,8 @@ def find_demonstration(config: Config, reference: Trajectory) -> Demonstration:
     try:
         with quick_body(problem, actuated_body) as body:
             nodes = settle(problem, body, guess, set())
+            if displacement > 0.0:
+                nodes = bend(problem, body, nodes, displacement, config.randomization.min_height)
     except Rejected as failure:
         raise BoundError(f"no demonstration found: {failure}") from None
     return sample(config, nodes)

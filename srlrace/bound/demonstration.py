@@ -23,7 +23,9 @@ from srlrace.files import FileError, atomic_write, read_limited
 from srlrace.schema import Config
 
 REVISION = 1  # of the method: a change that moves results makes older ones obsolete
-CLEARANCE = 0.12  # m, kept from obstacles beyond the rules' keep-out: ours; a policy follows a flight to about this
+# m, kept from obstacles beyond the rules' keep-out: ours. A policy follows a flight to about the first; where waypoints
+# are displaced, the flight has to give way to that, too.
+CLEARANCE, CLEARANCE_DISPLACED = 0.12, 0.2
 RADIUS_SHARE = 2.0 / 3.0  # of the passing radius: ours
 THRUST_SHARE = 0.95  # of each rotor's thrust: ours
 RATE_SHARE = 0.9  # of the body rates that can be commanded: ours
@@ -41,13 +43,25 @@ class Demonstration:
     duration: float  # s; n control periods, or up to half a period more or less
 
 
-def with_room(problem: Problem) -> Problem:
-    """The problem that a demonstration solves: farther from obstacles, closer to waypoints, with weaker rotors."""
+def displacement_of(config: Config) -> float:
+    """How far waypoints are displaced per axis in an episode, m; 0 where they stay in their places."""
+    some = config.env.displaced_waypoints > 0 or config.randomization.every_waypoint
+    return config.randomization.waypoint_displacement if some else 0.0
+
+
+def room_problem(config: Config) -> Problem:
+    """The problem that the demonstration of a training configuration solves: the race from rest, with room."""
+    clearance = CLEARANCE_DISPLACED if displacement_of(config) > 0.0 else CLEARANCE
+    return with_room(problem_of(config, "race"), clearance)
+
+
+def with_room(problem: Problem, clearance: float) -> Problem:
+    """The same problem farther from obstacles, closer to waypoints, and with weaker rotors."""
     quad = problem.quad
     rates = (quad.body_rate_max[0] * RATE_SHARE, quad.body_rate_max[1] * RATE_SHARE, quad.body_rate_max[2] * RATE_SHARE)
     return replace(
         problem,
-        keep_out=problem.keep_out + CLEARANCE if problem.obstacles else problem.keep_out,
+        keep_out=problem.keep_out + clearance if problem.obstacles else problem.keep_out,
         passing_radius=problem.passing_radius * RADIUS_SHARE,
         quad=replace(quad, thrust_max=quad.thrust_max * THRUST_SHARE, body_rate_max=rates),
     )
@@ -55,9 +69,11 @@ def with_room(problem: Problem) -> Problem:
 
 def demonstration_key(config: Config) -> str:
     """Name of the demonstration of a training configuration: a hash of all that it depends on."""
-    quad = config.quad
-    extra = (REVISION, config.sim.control_period, quad.rotor_time_constant, quad.rate_gains)
-    return hashlib.sha256(f"{with_room(problem_of(config, 'race')).key} {extra}".encode()).hexdigest()[:16]
+    quad, displacement = config.quad, displacement_of(config)
+    extra: tuple[object, ...] = (REVISION, config.sim.control_period, quad.rotor_time_constant, quad.rate_gains)
+    if displacement > 0.0:
+        extra += (displacement, config.randomization.min_height)
+    return hashlib.sha256(f"{room_problem(config).key} {extra}".encode()).hexdigest()[:16]
 
 
 def load_demonstration(config: Config) -> Demonstration | None:
