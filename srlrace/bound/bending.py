@@ -17,7 +17,7 @@ from srlrace.bound.accept import Rejected
 from srlrace.bound.clearance import core_distance, points, violated
 from srlrace.bound.model import Model
 from srlrace.bound.problem import Problem
-from srlrace.bound.solver import settle
+from srlrace.bound.solver import COARSE, settle
 from srlrace.bound.transcription import Nodes
 
 COPIES = 200  # displacements drawn for each waypoint
@@ -45,7 +45,7 @@ def bend(problem: Problem, body: Model, nodes: Nodes, displacement: float, min_h
         larger = grow(grown, index)
         near = violated(larger, nodes.state, nodes.steps, ALONG)[0]
         try:
-            found = settle(larger, body, nodes, {p for p in near if p.obstacle == index or p.share % 4 == 0})
+            found = settle(larger, body, nodes, {p for p in near if p.obstacle == index or p.share % COARSE == 0})
         except Rejected as failure:
             logger.debug("obstacle %d grown: %s", index, failure)
             continue

@@ -50,14 +50,9 @@ def displacement_of(config: Config) -> float:
 
 
 def room_problem(config: Config) -> Problem:
-    """The problem that the demonstration of a training configuration solves: the race from rest, with room."""
-    clearance = CLEARANCE_DISPLACED if displacement_of(config) > 0.0 else CLEARANCE
-    return with_room(problem_of(config, "race"), clearance)
-
-
-def with_room(problem: Problem, clearance: float) -> Problem:
-    """The same problem farther from obstacles, closer to waypoints, and with weaker rotors."""
-    quad = problem.quad
+    """The race from rest that a demonstration solves: farther from obstacles, closer to waypoints, weaker rotors."""
+    problem = problem_of(config, "race")
+    clearance, quad = CLEARANCE_DISPLACED if displacement_of(config) > 0.0 else CLEARANCE, problem.quad
     rates = (quad.body_rate_max[0] * RATE_SHARE, quad.body_rate_max[1] * RATE_SHARE, quad.body_rate_max[2] * RATE_SHARE)
     return replace(
         problem,

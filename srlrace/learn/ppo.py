@@ -68,8 +68,8 @@ def find_teacher(config: Config, env: RaceVecEnv) -> Teacher | None:
     shown = load_demonstration(config)
     if shown is None:
         raise ConfigError(
-            "curriculum.teaching: no flight of this track, level and quadrotor is on file; find one with: "
-            "srlrace bound --demonstrate, and the same settings"
+            "curriculum.teaching: no flight of this track, level, quadrotor and displacement of waypoints is on file; "
+            "find one with: srlrace bound --demonstrate, and the same settings"
         )
     return Teacher(shown, env.race)
 

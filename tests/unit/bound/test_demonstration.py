@@ -45,11 +45,11 @@ def rules(config):
 
 
 def test_the_simulator_goes_from_each_sample_to_the_next(shipped):
-    """What lies between is interpolated, so about a centimetre and a few degrees a second may be missing."""
+    """What lies between is interpolated, so a centimetre (Split-S: 1.1) and a few degrees a second may be missing."""
     config, found = shipped
     ended = fly_once(rules(config), found.state[:-1], found.action)
     errors = np.array([deviation(a[None], b)[0] for a, b in zip(ended, found.state[1:], strict=True)])
-    assert np.abs(errors[:, :3]).max() < 0.012
+    assert np.abs(errors[:, :3]).max() < (0.01 if config is FOREST else 0.011)
     assert np.abs(errors[:, 3:6]).max() < 0.3
     assert np.abs(errors[:, 6:9]).max() < 0.05
 
