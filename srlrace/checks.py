@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from srlrace.parse import ConfigError
-from srlrace.schema import Config, CurriculumConfig, LevelConfig, ObservationConfig, ObstacleConfig, TrackConfig
+from srlrace.schema import (
+    AlgoConfig,
+    Config,
+    CurriculumConfig,
+    LevelConfig,
+    ObservationConfig,
+    ObstacleConfig,
+    TrackConfig,
+)
 
 GRAVITY = 9.81  # m/s^2
 MEMORY_LIMIT = 64 * 2**30  # bytes: ours, far above what any preset needs (0.02 GiB)
@@ -21,6 +29,7 @@ def check(config: Config) -> None:
     _check_observation(config.observation)
     _check_lift(config)
     _check_batch(config)
+    _check_learning_rate(config.algo)
     _check_curriculum(config.curriculum)
     if config.curriculum.teaching > 0.0:
         check_single_map(config, "curriculum.teaching")
@@ -105,6 +114,11 @@ def _check_batch(config: Config) -> None:
             f"algo.batch_size: got {algo.batch_size}; takes a divisor of the rollout,"
             f" n_envs x n_steps = {algo.n_envs} x {algo.n_steps} = {rollout}; nearest: {fits}"
         )
+
+
+def _check_learning_rate(algo: AlgoConfig) -> None:
+    if algo.learning_rate_decay == "geometric" and algo.learning_rate_final == 0.0:
+        raise ConfigError("algo.learning_rate_final: got 0; with algo.learning_rate_decay=geometric takes a number > 0")
 
 
 def _nearest_divisor(number: int, wanted: int) -> int:

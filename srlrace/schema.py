@@ -239,7 +239,7 @@ class AlgoConfig:
     batch_size: int = setting("samples in a minibatch", low=2, high=10**9)
     n_epochs: int = setting("passes over a rollout", low=1, high=1000)
     learning_rate: float = setting("Adam's step size at the start", above=0.0, high=1.0)
-    learning_rate_final: float = setting("Adam's step size at the end, reached linearly", low=0.0, high=1.0)
+    learning_rate_final: float = setting("Adam's step size at the end", low=0.0, high=1.0)
     gamma: float = setting("discount per step", above=0.0, high=1.0)
     gae_lambda: float = setting("GAE's lambda", low=0.0, high=1.0)
     clip_range: float = setting("PPO's clip range", above=0.0, high=10.0)
@@ -261,6 +261,13 @@ class AlgoConfig:
     averaged: float = setting(
         "share of the training, at its end, whose weights are averaged; 0: the last ones alone",
         low=0.0, high=1.0, default=0.0,
+    )  # fmt: skip
+    learning_rate_hold: float = setting(
+        "share of the training during which Adam's step size stays as at the start", low=0.0, high=0.99, default=0.0
+    )
+    learning_rate_decay: str = setting(
+        "how it falls from then on: by equal differences or by equal ratios",
+        choices=("linear", "geometric"), default="linear",
     )  # fmt: skip
     threads: int = setting("torch threads, pinned", low=1, high=256, default=1)
 

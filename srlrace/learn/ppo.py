@@ -21,15 +21,18 @@ from srlrace.sim.airframe import GRAVITY
 from srlrace.task.vec_env import RaceVecEnv
 
 
-class LinearSchedule:
-    """A learning rate that falls linearly from ``start`` to ``end`` over the training."""
+class LearningRate:
+    """Adam's step size along the training: held, then falling linearly or geometrically to its final value."""
 
-    def __init__(self, start: float, end: float) -> None:
-        self.start, self.end = start, end
+    def __init__(self, algo: AlgoConfig) -> None:
+        self._algo = algo
 
     def __call__(self, remaining: float) -> float:
         """Return the rate when ``remaining`` (1 to 0) of the training is left."""
-        return self.end + (self.start - self.end) * remaining
+        algo = self._algo
+        left = min(remaining / (1.0 - algo.learning_rate_hold), 1.0)
+        start, end = algo.learning_rate, algo.learning_rate_final
+        return end * (start / end) ** left if algo.learning_rate_decay == "geometric" else end + (start - end) * left
 
 
 def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> PPO:
@@ -39,7 +42,7 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
     model = learner(
         policy_class(algo),
         env,
-        learning_rate=LinearSchedule(algo.learning_rate, algo.learning_rate_final),
+        learning_rate=LearningRate(algo),
         n_steps=algo.n_steps,
         batch_size=algo.batch_size,
         n_epochs=algo.n_epochs,

@@ -23,6 +23,8 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
     ("algo.learning_rate=abc", "algo.learning_rate: got 'abc'; takes a number > 0"),
     ("algo.learning_rate=", "algo.learning_rate: got ''"),
     ("algo.learning_rate=null", "algo.learning_rate: got 'null'"),
+    ("algo.learning_rate_decay=cosine", "algo.learning_rate_decay: got 'cosine'; takes one of linear, geometric"),
+    ("algo.learning_rate_decay=geometric algo.learning_rate_final=0", "algo.learning_rate_final: got 0"),
     ("algo.gamma=1.5", "algo.gamma: got 1.5; takes a number > 0 and <= 1"),
     ("algo.n_envs=-3", "algo.n_envs: got -3; takes a whole number >= 1"),
     ("algo.n_envs=2.5", "algo.n_envs: got 2.5; takes a whole number"),
