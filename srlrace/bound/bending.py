@@ -47,11 +47,14 @@ def bend(problem: Problem, body: Model, nodes: Nodes, displacement: float, min_h
         try:
             found = settle(larger, body, nodes, {p for p in near if p.obstacle == index or p.share % COARSE == 0})
         except Rejected as failure:
-            logger.debug("obstacle %d grown: %s", index, failure)
+            logger.info("more room from obstacle %d: no such flight (%s)", index, failure)
             continue
         after = touching(problem, found, displacement, min_height)
         before, now = (hits.any(axis=2).mean() for hits in (touched, after))
-        logger.debug("obstacle %d grown: %.3f s, %.3f touch, %.3f before", index, found.duration, now, before)
+        logger.info(
+            "more room from obstacle %d: %.3f s, %.1f %% of displacements are in the way, %.1f %% before",
+            index, found.duration, 100.0 * now, 100.0 * before,
+        )  # fmt: skip
         if now < before and found.duration < slowest:
             nodes, touched, grown = found, after, larger
     return nodes

@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
-from srlrace.bound.demonstration import load_demonstration
+from srlrace.bound.demonstration import Demonstration, load_demonstration
 from srlrace.config import AlgoConfig, Config, ConfigError
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, policy_class, state_arrays
@@ -58,14 +58,15 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
     )
     if isinstance(model, LeanPPO):
         model.noise_correlation = algo.noise_correlation
-        model.teacher = find_teacher(config, env)
+        shown = shown_flight(config)
+        model.teacher = Teacher(shown, env.race) if shown else None
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 
 
-def find_teacher(config: Config, env: RaceVecEnv) -> Teacher | None:
-    """Return the teacher that the curriculum asks for; `ConfigError` where it has no flight to show."""
+def shown_flight(config: Config) -> Demonstration | None:
+    """Return the flight that the curriculum asks to show, if any; `ConfigError` where there is none on file."""
     if config.curriculum.teaching == 0.0:
         return None
     shown = load_demonstration(config)
@@ -74,7 +75,7 @@ def find_teacher(config: Config, env: RaceVecEnv) -> Teacher | None:
             "curriculum.teaching: no flight of this track, level, quadrotor and displacement of waypoints is on file; "
             "find one with: srlrace bound --demonstrate, and the same settings"
         )
-    return Teacher(shown, env.race)
+    return shown
 
 
 def start_hovering(model: PPO, env: RaceVecEnv) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -13,6 +15,7 @@ from srlrace.learn import update
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.ppo import build_ppo
 from srlrace.learn.teacher import SPREAD, Teacher, deviation, displaced, regulator
+from srlrace.learn.train import train
 from srlrace.task.arrays import FINISHED
 from srlrace.task.race import Race, RaceMode
 from srlrace.task.vec_env import RaceVecEnv
@@ -142,6 +145,13 @@ def test_a_track_without_a_flight_says_what_finds_one() -> None:
     env = RaceVecEnv(compose([*SMALL, "level=3"]))
     with pytest.raises(ConfigError, match="srlrace bound --demonstrate"):
         build_ppo(env.race.config, env)
+
+
+def test_who_is_refused_leaves_no_folder(tmp_path: Path) -> None:
+    config = compose(["env=forest", "level=1", "level.map_seed=4711", "curriculum=taught"])
+    with pytest.raises(ConfigError, match="srlrace bound --demonstrate"):
+        train(config, tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_many_maps_cannot_be_taught() -> None:
