@@ -219,6 +219,9 @@ class CurriculumConfig:
     hard_time: float = setting(
         "flights from such a place end after this time; 0: like any other", unit="s", low=0.0, high=600.0, default=0.0
     )
+    hard_begin: float = setting(
+        "share of training before which there are none of these", low=0.0, high=1.0, default=0.0
+    )
     teaching: float = setting(
         "weight, at first, of doing as a demonstrated flight does (srlrace bound --demonstrate); 0: none is shown",
         low=0.0, high=1000.0, default=0.0,

@@ -179,16 +179,19 @@ class Phase(NamedTuple):
     """How far the curriculum is."""
 
     costs: float  # share of their full weight
-    staged: float  # share that is left of gate and memory starts; hard ones have the rest of theirs
+    staged: float  # share that is left of gate and memory starts
+    hard: float  # share that there is of hard starts
     ease: float  # share that is left of smaller obstacles and larger waypoints
 
 
 def phase_of(curriculum: CurriculumConfig, done: float) -> Phase:
     """Return the phase when a share of the training is ``done``."""
     grown = ramp(done, curriculum.cost_hold, curriculum.cost_ramp)
+    ended = ramp(done, curriculum.staged_hold, curriculum.staged_end)
     return Phase(
         costs=1.0 - (1.0 - curriculum.cost_initial) * (1.0 - grown),
-        staged=1.0 - ramp(done, curriculum.staged_hold, curriculum.staged_end),
+        staged=1.0 - ended,
+        hard=ended if done >= curriculum.hard_begin else 0.0,
         ease=1.0 - ramp(done, curriculum.ease_hold, curriculum.ease_end),
     )
 
@@ -241,7 +244,7 @@ class Race:
         self.rules = self.rules._replace(
             gate_starts=curriculum.gate_starts * phase.staged,
             memory_starts=curriculum.memory_starts * phase.staged,
-            hard_starts=curriculum.hard_starts * (1.0 - phase.staged),
+            hard_starts=curriculum.hard_starts * phase.hard,
             keep_out=self.config.keep_out - curriculum.obstacle_ease * phase.ease,
             passing_radius=self.config.env.passing_radius + curriculum.waypoint_ease * phase.ease,
         )

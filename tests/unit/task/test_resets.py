@@ -311,6 +311,15 @@ def test_hard_starts_come_as_staged_ones_go(config, trained):
         assert race.rules.hard_starts == pytest.approx(share)
 
 
+def test_hard_starts_do_not_come_before_they_shall(config, trained):
+    settings = {"gate_starts": 0.4, "hard_starts": 0.6, "staged_hold": 0.2, "staged_end": 0.6}
+    for begin, half_way in ((0.4, 0.3), (0.5, 0.0)):
+        race = trained(staged(config, **settings, hard_begin=begin), 1)
+        for done, share in ((0.0, 0.0), (0.3, 0.0), (0.4, half_way), (0.6, 0.6), (1.0, 0.6)):
+            race.set_progress(done)
+            assert race.rules.hard_starts == pytest.approx(share)
+
+
 def test_staged_starts_end(config, trained, hover):
     race = trained(staged(config, gate_starts=0.5, memory_starts=0.3, staged_hold=0.2, staged_end=0.6), 300)
     for done, left in ((0.0, 1.0), (0.2, 1.0), (0.5, 0.25), (0.6, 0.0), (1.0, 0.0)):
