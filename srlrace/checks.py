@@ -31,6 +31,9 @@ def check(config: Config) -> None:
     _check_batch(config)
     _check_learning_rate(config.algo)
     _check_curriculum(config.curriculum)
+    if config.curriculum.waypoint_margin >= config.env.passing_radius:
+        margin, radius = config.curriculum.waypoint_margin, config.env.passing_radius
+        raise ConfigError(f"curriculum.waypoint_margin: got {margin:g}; takes less than env.passing_radius, {radius:g}")
     if config.curriculum.teaching > 0.0:
         check_single_map(config, "curriculum.teaching")
     check_memory(config, MEMORY_LIMIT)

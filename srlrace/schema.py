@@ -213,6 +213,12 @@ class CurriculumConfig:
     waypoint_ease: float = setting("waypoints are larger by this at first", unit="m", low=0.0, high=100.0, default=0.0)
     ease_hold: float = setting("share of training during which both keep that", low=0.0, high=1.0, default=0.0)
     ease_end: float = setting("share of training after which both are true to size", low=0.0, high=1.0, default=0.0)
+    obstacle_margin: float = setting(
+        "obstacles are larger by this in all of the training", unit="m", low=0.0, high=100.0, default=0.0
+    )
+    waypoint_margin: float = setting(
+        "waypoints are smaller by this in all of the training", unit="m", low=0.0, high=100.0, default=0.0
+    )
     hard_starts: float = setting(
         "share of resets from where a flight was two passings before it crashed", low=0.0, high=1.0, default=0.0
     )
@@ -222,6 +228,7 @@ class CurriculumConfig:
     hard_begin: float = setting(
         "share of training before which there are none of these", low=0.0, high=1.0, default=0.0
     )
+    hard_late: bool = setting("a flight that is not over in time counts as crashed for these", default=False)
     teaching: float = setting(
         "weight, at first, of doing as a demonstrated flight does (srlrace bound --demonstrate); 0: none is shown",
         low=0.0, high=1000.0, default=0.0,

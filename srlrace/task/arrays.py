@@ -71,6 +71,7 @@ class Rules(NamedTuple):
     retry_starts: float  # share of resets from the start of an earlier episode that failed
     hard_starts: float  # share of resets from where a drone was two passings before it crashed
     hard_steps: int  # after which a flight from there ends
+    hard_late: bool  # there are such resets after a flight that was late, too
     autoreset: bool
     wind: Floats  # (3, n) m/s, world; (3, 0) in still air
 

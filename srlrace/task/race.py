@@ -107,6 +107,7 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         retry_starts=config.curriculum.retry_starts if mode.curriculum else 0.0,
         hard_starts=config.curriculum.hard_starts if mode.curriculum else 0.0,
         hard_steps=round((config.curriculum.hard_time or track.horizon) / config.sim.control_period),
+        hard_late=config.curriculum.hard_late,
         autoreset=mode.autoreset,
         wind=np.zeros((3, 0), dtype),
     )
@@ -245,8 +246,10 @@ class Race:
             gate_starts=curriculum.gate_starts * phase.staged,
             memory_starts=curriculum.memory_starts * phase.staged,
             hard_starts=curriculum.hard_starts * phase.hard,
-            keep_out=self.config.keep_out - curriculum.obstacle_ease * phase.ease,
-            passing_radius=self.config.env.passing_radius + curriculum.waypoint_ease * phase.ease,
+            keep_out=self.config.keep_out + curriculum.obstacle_margin - curriculum.obstacle_ease * phase.ease,
+            passing_radius=self.config.env.passing_radius
+            - curriculum.waypoint_margin
+            + curriculum.waypoint_ease * phase.ease,
         )
 
     def refresh(self, steps: int) -> None:

@@ -229,7 +229,8 @@ def step_drone(fleet, rules, field, memory, scratch, out, weights, i):
     close_episode(fleet, out, outcome, i)
     if rules.retry_starts > 0.0 and outcome != FINISHED and not fleet.staged[i]:
         remember_failure(fleet, memory, i)
-    if memory.trail.shape[0] > 0 and collided and not fleet.rehearsing[i] and is_offered(fleet, rules, i):
+    hard = collided or (rules.hard_late and outcome == TIMEOUT)
+    if memory.trail.shape[0] > 0 and hard and not fleet.rehearsing[i] and is_offered(fleet, rules, i):
         remember_crash(memory, i)
     if rules.autoreset:
         reset_drone(fleet, rules, field, memory, scratch, i)

@@ -23,6 +23,7 @@ KINDS = {
         "level=3",
         "curriculum.hard_starts=0.5",
         "curriculum.hard_time=0.2",
+        "curriculum.hard_late=true",
         "curriculum.staged_end=0.5",
         "env.horizon=1",
     ),

@@ -93,6 +93,7 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
     ("randomization=ful", "did you mean full?"),
     ("curriculum=defaults", "did you mean default?"),
     ("curriculum.hard_starts=0.9", "curriculum.hard_starts: with curriculum.retry_starts it makes 1.1"),
+    ("curriculum.waypoint_margin=0.3", "curriculum.waypoint_margin: got 0.3; takes less than env.passing_radius, 0.3"),
     ("algo=pppo", "did you mean ppo?"),
     ("env=../../etc/passwd", "no such file"),
     ("reward=../env/forest", "reward: got '../env/forest'; takes one of"),

@@ -282,12 +282,18 @@ def test_what_led_to_a_crash_is_flown_again(config, trained, place_drones, hover
     assert race.memory.hard[1, -1] == 0  # it had passed nothing: from its start
 
 
-def test_a_flight_that_is_late_is_not_remembered_as_a_crash(config, trained, place_drones, hover):
-    race = trained(staged(config, hard_starts=1.0), 1)
+@pytest.mark.parametrize("late", [False, True])
+def test_a_flight_that_is_late_is_remembered_as_a_crash_where_asked(config, trained, place_drones, hover, late):
+    """A flight from there that is cut off is not: it may only have been short."""
+    race = trained(staged(config, hard_starts=1.0, hard_time=0.02, hard_late=late), 1)
+    race.set_progress(1.0)
     race.fleet.steps[:] = race.rules.horizon_steps - 1
     place_drones(race, [(0, 0, 4)], [(0, 0, 0)])
     assert race.step(hover(1)).outcome.tolist() == [TIMEOUT]
-    assert race.memory.hards.tolist() == [0]
+    assert race.memory.hards.tolist() == [int(late)]
+    assert race.fleet.rehearsing.tolist() == [late]
+    race.step(hover(1))
+    assert race.memory.hards.tolist() == [int(late)]
 
 
 def test_a_flight_from_before_a_crash_is_cut_off(config, trained, place_drones, hover):
@@ -358,6 +364,25 @@ def test_obstacles_grow_to_their_size(config, trained, flown, place_drones, hove
             race.reset()
             place_drones(race, [beside], [[0.0, 0.0, 0.0]])
             assert (race.step(hover(1)).outcome[0] == CRASHED) == crashed
+
+
+@pytest.mark.parametrize("done", [0.0, 1.0])
+def test_margins_are_kept_in_training_alone(config, trained, flown, place_drones, hover, done):
+    """A drone 0.27 m from a tree is too close where 0.25 m and 0.05 m more are wanted, one at 0.32 m is not."""
+    plain = staged(config, obstacle_margin=0.05, waypoint_margin=0.1)
+    settings = dataclasses.replace(plain, level=config("level=1").level)
+    tree, *_ = trained(settings, 2).field.obstacles(0)
+    from_tree = [np.array([*tree.origin[:2], 2.0]) + [tree.sphere_radius + gap, 0, 0] for gap in (0.27, 0.32)]
+    from_waypoint = [np.array(settings.env.waypoints[0]) + [-0.1, aside, 0] for aside in (0.25, 0.15)]
+    for race, kept in ((trained(settings, 2), True), (flown(settings, 2), False)):
+        race.set_progress(done)
+        race.reset()
+        place_drones(race, from_tree, [[0, 0, 0], [0, 0, 0]])
+        assert (race.step(hover(2)).outcome == CRASHED).tolist() == [kept, False]
+        race.reset()
+        place_drones(race, from_waypoint, [[10, 0, 0], [10, 0, 0]], target=0)
+        race.step(hover(2))
+        assert race.fleet.target.tolist() == [int(not kept), 1]
 
 
 def test_episodes_restart_at_once_in_training(config, trained, place_drones, hover):
