@@ -40,14 +40,18 @@ def check(config: Config) -> None:
 
 
 def _check_curriculum(curriculum: CurriculumConfig) -> None:
-    staged = curriculum.gate_starts + curriculum.memory_starts + curriculum.retry_starts
-    if staged > 1.0:
-        others = "curriculum.memory_starts and curriculum.retry_starts"
-        raise ConfigError(f"curriculum.gate_starts: with {others} it makes {staged:g}; takes at most 1")
-    again = curriculum.retry_starts + curriculum.hard_starts
-    if again > 1.0:
-        raise ConfigError(f"curriculum.hard_starts: with curriculum.retry_starts it makes {again:g}; takes at most 1")
-    for first, last in (("cost_hold", "cost_ramp"), ("staged_hold", "staged_end"), ("ease_hold", "ease_end")):
+    for names in (("gate_starts", "memory_starts"), ("hard_starts",)):  # the former go as the latter come
+        first, *others = (f"curriculum.{name}" for name in (*names, "retry_starts", "escape_starts"))
+        total = sum(getattr(curriculum, name) for name in (*names, "retry_starts", "escape_starts"))
+        if total > 1.0:
+            listed = " and ".join([", ".join(others[:-1]), others[-1]])
+            raise ConfigError(f"{first}: with {listed} it makes {total:g}; takes at most 1")
+    if curriculum.escape_starts > 0.0 and curriculum.teaching == 0.0:
+        raise ConfigError(
+            "curriculum.escape_starts: takes 0 while curriculum.teaching is 0, which is how much they count"
+        )
+    ramps = ("cost_hold", "cost_ramp"), ("staged_hold", "staged_end"), ("ease_hold", "ease_end")
+    for first, last in (*ramps, ("escape_hold", "escape_end")):
         begin, end = getattr(curriculum, first), getattr(curriculum, last)
         if begin > end:
             raise ConfigError(f"curriculum.{first}: got {begin:g}; takes at most curriculum.{last}, which is {end:g}")

@@ -272,6 +272,9 @@ def bound(
     demonstrate: Annotated[
         bool, typer.Option("--demonstrate", help="Find the flight that training with curriculum=taught is shown.")
     ] = False,
+    escapes: Annotated[
+        bool, typer.Option("--escapes", help="Find ways out of hard starts, for curriculum.escape_starts.")
+    ] = False,
     out_file: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.mcap", help="Where to write the flight; default: the cache.")
     ] = None,
@@ -282,15 +285,21 @@ def bound(
     """
     from srlrace.bound.command import bound as find_bound
     from srlrace.bound.command import demonstrate as find_demonstration
+    from srlrace.bound.command import show_escapes
     from srlrace.hydra_bridge import compose
     from srlrace.parse import ConfigError
 
     setup_logging()
     config = compose(overrides or [])
-    if demonstrate and (race or stop or out_file):
-        raise ConfigError("--demonstrate: goes without --race, --stop and --out")
+    if demonstrate and escapes:
+        raise ConfigError("--demonstrate: goes without --escapes")
+    if (demonstrate or escapes) and (race or stop or out_file):
+        option = "--demonstrate" if demonstrate else "--escapes"
+        raise ConfigError(f"{option}: goes without --race, --stop and --out")
     if demonstrate:
         table, path = find_demonstration(config, again)
+    elif escapes:
+        table, path = show_escapes(config, again)
     else:
         table, path = find_bound(config, race, stop, restarts, again, out_file)
     out.print(table)

@@ -236,6 +236,16 @@ class CurriculumConfig:
     teaching_end: float = setting(
         "share of training after which that weight is 0, reached linearly", low=0.0, high=1.0, default=0.0
     )
+    escape_starts: float = setting(
+        "share of resets from hard starts whose ways out are shown, too (srlrace bound --escapes)",
+        low=0.0, high=1.0, default=0.0,
+    )  # fmt: skip
+    escape_hold: float = setting(
+        "share of training during which these count as much as the flight at first", low=0.0, high=1.0, default=0.0
+    )
+    escape_end: float = setting(
+        "share of training after which they count nothing, reached linearly", low=0.0, high=1.0, default=0.0
+    )
 
 
 @dataclass(frozen=True)

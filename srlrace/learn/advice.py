@@ -59,8 +59,23 @@ def measure(fleet, nominal, error, i):
 
 
 @kernel
-def advise_all(fleet, rules, plan, error, action, weight):
-    """Write the regulator's action (n, 4) for every drone, and whether it is to be followed (n,)."""
+def advise_escapes(fleet, actions, hold, worth, action, weight):
+    """Write the way out (n, 4) for every drone on one, and how much it counts (n,); leave the others as they are.
+
+    ``actions`` (m, k, 4) are each held for ``hold`` control periods from the start on.
+    """
+    for i in range(fleet.steps.shape[0]):
+        part = fleet.steps[i] // hold
+        if fleet.escape[i] < 0 or part >= actions.shape[1]:
+            continue
+        weight[i] = worth
+        for j in range(4):
+            action[i, j] = actions[fleet.escape[i], part, j]
+
+
+@kernel
+def advise_all(fleet, rules, plan, error, worth, action, weight):
+    """Write the regulator's action (n, 4) for every drone, and ``worth`` where it is to be followed, else 0, (n,)."""
     states, actions, gains, ranges = plan
     for i in range(fleet.state.shape[1]):
         target = fleet.target[i]
@@ -72,7 +87,7 @@ def advise_all(fleet, rules, plan, error, action, weight):
         k = closest(fleet, states, ranges[target, 0], ranges[target, 1], i)
         if not measure(fleet, states[k], error, i):
             continue
-        weight[i] = 1.0
+        weight[i] = worth
         for j in range(4):
             value = actions[k, j]
             for e in range(ERRORS):

@@ -74,7 +74,7 @@ class LeanPPO(PPO):
         deviation = noise * self.policy.log_std.exp().numpy()
         if by_state:
             log_std = log_std.copy()
-        teacher = self.teacher if self.teacher and self.teacher.weight > 0.0 else None
+        teacher = self.teacher if self.teacher and self.teacher.teaches else None
         taught = n_rollout_steps if teacher else 0
         self._lessons = np.zeros((taught, *noise.shape[1:]), np.float32), np.zeros((taught, env.num_envs), np.float32)
         for step in range(n_rollout_steps):
@@ -131,8 +131,7 @@ class LeanPPO(PPO):
         observations, actions = (a.reshape(steps * drones, -1) for a in (buffer.observations, buffer.actions))
         samples = [a.reshape(-1) for a in (buffer.log_probs, buffer.advantages, buffer.returns)]
         wanted, counts = self._lessons
-        weight = self.teacher.weight if self.teacher else 0.0
-        lessons = wanted.reshape(-1, actions.shape[1]), counts.reshape(-1) * np.float32(weight)
+        lessons = wanted.reshape(-1, actions.shape[1]), counts.reshape(-1)
         statistics, minibatches = np.zeros(update.STATISTICS), 0
         for _ in range(self.n_epochs):
             order = np.random.permutation(steps * drones)  # SB3 numbers samples drone by drone

@@ -12,6 +12,7 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from srlrace.bound.demonstration import Demonstration, load_demonstration
+from srlrace.bound.escapes import Escapes, load_escapes
 from srlrace.config import AlgoConfig, Config, ConfigError
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, policy_class, state_arrays
@@ -59,7 +60,7 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
     if isinstance(model, LeanPPO):
         model.noise_correlation = algo.noise_correlation
         shown = shown_flight(config)
-        model.teacher = Teacher(shown, env.race) if shown else None
+        model.teacher = Teacher(shown, env.race, shown_escapes(config)) if shown else None
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
@@ -74,6 +75,19 @@ def shown_flight(config: Config) -> Demonstration | None:
         raise ConfigError(
             "curriculum.teaching: no flight of this track, level, quadrotor and displacement of waypoints is on file; "
             "find one with: srlrace bound --demonstrate, and the same settings"
+        )
+    return shown
+
+
+def shown_escapes(config: Config) -> Escapes | None:
+    """Return the ways out that the curriculum asks to show, if any; `ConfigError` where there are none on file."""
+    if config.curriculum.escape_starts == 0.0:
+        return None
+    shown = load_escapes(config)
+    if shown is None:
+        raise ConfigError(
+            "curriculum.escape_starts: no ways out of hard starts of this track, level, quadrotor and randomization "
+            "are on file; find some with: srlrace bound --escapes, and the same settings"
         )
     return shown
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srlrace.bound.demonstration import Demonstration
-from srlrace.learn.advice import AROUND, ERRORS, advise_all
+from srlrace.bound.escapes import HOLD, Escapes
+from srlrace.learn.advice import AROUND, ERRORS, advise_all, advise_escapes
 from srlrace.sim.dynamics import advance
 from srlrace.task.arrays import Rules
 from srlrace.task.race import Race, ramp
@@ -31,25 +32,47 @@ Floats = NDArray[np.float64]
 
 
 class Teacher:
-    """Tells drones of a race what to do; ``weight`` is how much that counts, 0 when teaching is over."""
+    """Tells drones of a race what to do: along the flight that is shown, and on ways out of hard starts.
 
-    def __init__(self, demonstration: Demonstration, race: Race) -> None:
+    ``weight`` is how much the flight counts and ``escape_weight`` how much the ways out do; 0 when that is over.
+    """
+
+    def __init__(self, demonstration: Demonstration, race: Race, escapes: Escapes | None = None) -> None:
         curriculum = race.config.curriculum
         self._race, self._demonstration = race, demonstration
         self._first, self._end = curriculum.teaching, curriculum.teaching_end
         self._plan = make_plan(demonstration, race.rules)
         self._error = np.zeros(ERRORS)
-        self.weight = self._first
+        self._escape_ramp = curriculum.escape_hold, curriculum.escape_end
+        self._ways = np.zeros((0, 1, 4), np.float32) if escapes is None else escapes.action.astype(np.float32)
+        if escapes is not None:
+            race.offer_escapes(escapes.start)
+        self._set_weights(0.0)
+
+    def _set_weights(self, done: float) -> None:
+        """Set how much is counted when a share of the training is ``done``."""
+        self.weight = self._first * (1.0 - ramp(done, 0.0, self._end))
+        self.escape_weight = self._first * (1.0 - ramp(done, *self._escape_ramp)) if len(self._ways) else 0.0
+
+    @property
+    def teaches(self) -> bool:
+        """Whether anything counts yet."""
+        return self.weight > 0.0 or self.escape_weight > 0.0
 
     def begin_rollout(self, steps: int, total: int) -> None:
         """Say how many of the training's steps are done; while teaching goes on, its flight's passings are starts."""
-        self.weight = self._first * (1.0 - ramp(steps / total, 0.0, self._end))
+        self._set_weights(steps / total)
         if self.weight > 0.0:
             self._offer_passings(steps)
 
     def advise(self, action: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
-        """Write what each drone should do now, (n, 4), and 1, or 0 where there is nothing to say, (n,)."""
-        advise_all(self._race.fleet, self._race.rules, self._plan, self._error, action, weight)
+        """Write what each drone should do now, (n, 4), and how much that counts, (n,), or 0."""
+        fleet = self._race.fleet
+        weight[:] = 0.0
+        if self.weight > 0.0:
+            advise_all(fleet, self._race.rules, self._plan, self._error, self.weight, action, weight)
+        if self.escape_weight > 0.0:
+            advise_escapes(fleet, self._ways, HOLD, self.escape_weight, action, weight)
 
     def _offer_passings(self, steps: int) -> None:
         """Have the race remember passings of the demonstration, nearly; which ones follows from seed and ``steps``."""

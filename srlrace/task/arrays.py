@@ -72,6 +72,8 @@ class Rules(NamedTuple):
     hard_starts: float  # share of resets from where a drone was two passings before it crashed
     hard_steps: int  # after which a flight from there ends
     hard_late: bool  # there are such resets after a flight that was late, too
+    escape_starts: float  # share of resets from one of `escapes`
+    escapes: Floats  # (m, record size): hard starts that a teacher knows a way out of
     autoreset: bool
     wind: Floats  # (3, n) m/s, world; (3, 0) in still air
 
@@ -94,6 +96,7 @@ class Fleet(NamedTuple):
     streams: NDArray[np.uint64]  # (2, n) random numbers
     start_streams: NDArray[np.uint64]  # (2, n) as they were before the episode's start was drawn
     rehearsing: NDArray[np.bool_]  # (n,) started from a hard passing
+    escape: NDArray[np.int32]  # (n,) index into Rules.escapes of the episode's start; -1 for any other start
 
 
 class Memory(NamedTuple):

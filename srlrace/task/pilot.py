@@ -82,6 +82,11 @@ class Pilot:
         x = np.asarray(state, np.float64).T
         wanted = (now[:, :3] - x[:, :3]) / TIME_CONSTANT**2 + 2 * (now[:, 3:6] - x[:, 3:6]) / TIME_CONSTANT
         wanted += later[:, 6:9] + self._drag * x[:, 3:6] + [0.0, 0.0, GRAVITY]
+        return self.steer(state, wanted)
+
+    def steer(self, state: Array, wanted: Array) -> np.ndarray:
+        """Actions (n, 4) that turn to, and give, the wanted accelerations (n, 3) against gravity, world, m/s^2."""
+        x = np.asarray(state, np.float64).T
         w, v = x[:, 6:7], x[:, 7:10]
         up = _turned(w, v, np.broadcast_to([0.0, 0.0, 1.0], v.shape))
         collective = np.sum(wanted * up, axis=1)

@@ -108,6 +108,8 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         hard_starts=config.curriculum.hard_starts if mode.curriculum else 0.0,
         hard_steps=round((config.curriculum.hard_time or track.horizon) / config.sim.control_period),
         hard_late=config.curriculum.hard_late,
+        escape_starts=config.curriculum.escape_starts if mode.curriculum else 0.0,
+        escapes=np.zeros((0, record_size(len(track.waypoints))), dtype),
         autoreset=mode.autoreset,
         wind=np.zeros((3, 0), dtype),
     )
@@ -134,6 +136,7 @@ def make_fleet(rules: Rules, mode: RaceMode, dtype: DTypeLike) -> Fleet:
         streams=make_streams(mode.seed, mode.members),
         start_streams=np.zeros((2, n), np.uint64),
         rehearsing=np.zeros(n, np.bool_),
+        escape=np.full(n, -1, np.int32),
     )
 
 
@@ -265,6 +268,10 @@ class Race:
         ahead = (np.arange(self.field.slots) - first) % self.field.slots
         forget_maps(self.memory, ahead < self.field.maps)
 
+    def offer_escapes(self, starts: Floats) -> None:
+        """Let ``curriculum.escape_starts`` of all resets be from these records, (m, record size)."""
+        self.rules = self.rules._replace(escapes=starts.astype(self.rules.waypoints.dtype))
+
     def reset(self) -> Floats:
         """Start a new episode of every drone; return the observations, (n, d)."""
         reset_all(self.fleet, self.rules, self.field.arrays, self.memory, self._scratch, self.output)
@@ -327,6 +334,7 @@ class Race:
             "fleet.map": (arrays["fleet.map"], maps),
             "fleet.steps": (arrays["fleet.steps"], self.rules.horizon_steps),
             "fleet.last_step": (arrays["fleet.last_step"], self.rules.horizon_steps + 1),
+            "fleet.escape": (arrays["fleet.escape"] + 1, len(self.rules.escapes) + 1),
             "memory.count": (count, np.iinfo(np.int64).max),
             "memory.failures": (arrays["memory.failures"], np.iinfo(np.int64).max),
             "memory.hards": (arrays["memory.hards"], np.iinfo(np.int64).max),

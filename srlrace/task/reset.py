@@ -14,6 +14,7 @@ from srlrace.task.arrays import (
     PATH_LENGTH,
     PEAK_BODY_RATE,
     PEAK_SPEED,
+    Fleet,
     Floats,
     Memory,
     Rules,
@@ -170,6 +171,12 @@ def write_record(fleet, row, i):
     row[at + 1] = fleet.map[i]
 
 
+def records(fleet: Fleet) -> Floats:
+    """Return the states of all drones, (n, record size), as `write_record` writes them."""
+    flown = [fleet.steps[None], fleet.map[None]]
+    return np.concatenate([fleet.state, fleet.plant, fleet.waypoints.reshape(-1, fleet.steps.size), *flown]).T
+
+
 def nominal_records(rules: Rules, state: Floats, steps: int) -> Floats:
     """Records, as `write_record` writes them, of states (n, 17) of the nominal quadrotor on the first map.
 
@@ -310,16 +317,28 @@ def start_again(fleet, rules, field, memory, scratch, i):
 
 
 @inline
+def start_hard(fleet, rules, i):
+    """Start an episode from a random one of the hard starts that a way out is known of."""
+    size = rules.escapes.shape[0]
+    fleet.escape[i] = min(int(uniform(fleet.streams, i) * size), size - 1)
+    fleet.staged[i] = True
+    fleet.target[i] = 0
+    read_record(fleet, rules.escapes[fleet.escape[i]], i)
+
+
+@inline
 def reset_drone(fleet, rules, field, memory, scratch, i):
     """Start a new episode of drone ``i``.
 
-    From a remembered passing, near a waypoint, before an earlier crash, at the start of a failed episode, or at a start
-    of its own.
+    From a remembered passing, near a waypoint, before an earlier crash, at the start of a failed episode, at a hard
+    start with a known way out, or at a start of its own.
     """
     staged = rules.gate_starts + rules.memory_starts
     again = rules.retry_starts + rules.hard_starts
-    draw = uniform(fleet.streams, i) if staged + again > 0.0 else 1.0
+    known = again + rules.escape_starts
+    draw = uniform(fleet.streams, i) if staged + known > 0.0 else 1.0
     fleet.rehearsing[i] = False
+    fleet.escape[i] = -1
     fleet.last_step[i] = rules.horizon_steps
     k = remembered_target(fleet, memory, i) if draw < rules.memory_starts else -1
     if k >= 0:
@@ -328,6 +347,8 @@ def reset_drone(fleet, rules, field, memory, scratch, i):
         start_again(fleet, rules, field, memory, scratch, i)
     elif 1.0 - again <= draw < 1.0 - rules.retry_starts and memory.hards[0] > 0:
         rehearse(fleet, rules, memory, i)
+    elif 1.0 - known <= draw < 1.0 - again and rules.escapes.shape[0] > 0:
+        start_hard(fleet, rules, i)
     else:
         target = int(uniform(fleet.streams, i) * rules.sequence.shape[0]) if draw < staged else 0
         fleet.start_streams[0, i], fleet.start_streams[1, i] = fleet.streams[0, i], fleet.streams[1, i]

@@ -28,6 +28,13 @@ KINDS = {
         "env.horizon=1",
     ),
     "taught": ("level=2", "curriculum.teaching=3", "curriculum.teaching_end=0.6", "env.horizon=1"),
+    "escaping": (
+        "level=2",
+        "curriculum.teaching=3",
+        "curriculum.escape_starts=0.1",
+        "curriculum.escape_end=0.6",
+        "env.horizon=1",
+    ),
     "std_by_state": ("level=1", "algo.state_dependent_std=true", "env.horizon=1"),
     "mixed": ("level=mixed", "level.maps=5", "observation=rays", "env.horizon=1"),
     "randomized": ("level=2", "randomization=full", "randomization.maps=3", "env.horizon=0.6"),

@@ -92,7 +92,14 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
     ("quad=kingfischer", "did you mean kingfisher?"),
     ("randomization=ful", "did you mean full?"),
     ("curriculum=defaults", "did you mean default?"),
-    ("curriculum.hard_starts=0.9", "curriculum.hard_starts: with curriculum.retry_starts it makes 1.1"),
+    (
+        "curriculum.hard_starts=0.9",
+        "curriculum.hard_starts: with curriculum.retry_starts and curriculum.escape_starts it",
+    ),
+    (
+        "curriculum.escape_starts=0.1",
+        "curriculum.escape_starts: takes 0 while curriculum.teaching is 0, which is how much",
+    ),
     ("curriculum.waypoint_margin=0.3", "curriculum.waypoint_margin: got 0.3; takes less than env.passing_radius, 0.3"),
     ("algo=pppo", "did you mean ppo?"),
     ("env=../../etc/passwd", "no such file"),

@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from srlrace.bound.demonstration import Demonstration, load_demonstration
+from srlrace.bound.escapes import ACTIONS, HOLD, load_escapes
 from srlrace.config import ConfigError
 from srlrace.hydra_bridge import compose
 from srlrace.learn import update
 from srlrace.learn.lean_ppo import LeanPPO
-from srlrace.learn.ppo import build_ppo
+from srlrace.learn.ppo import build_ppo, shown_escapes
 from srlrace.learn.teacher import SPREAD, Teacher, deviation, displaced, regulator
 from srlrace.learn.train import train
 from srlrace.task.arrays import FINISHED
@@ -27,7 +28,7 @@ SMALL = [
 
 
 def flight(*overrides: str) -> tuple[Demonstration, Race]:
-    config = compose(["env=forest", *overrides])
+    config = compose([*SMALL, *overrides])
     shown = load_demonstration(config)
     assert shown is not None
     return shown, Race(config, RaceMode.evaluation(0, np.arange(60)))
@@ -62,7 +63,7 @@ def test_there_is_nothing_to_say_far_away_or_where_a_waypoint_is_displaced() -> 
     race.fleet.waypoints[2, 2, 5] -= 0.2  # not next, nor the one after
     told = np.full(race.n, 7.0, np.float32)
     teacher.advise(np.zeros((race.n, 4), np.float32), told)
-    assert told[:7].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0]
+    assert told[:7].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 2.0]
 
 
 def test_errors_are_what_states_were_displaced_by() -> None:
@@ -103,11 +104,11 @@ def test_a_lesson_adds_the_gradient_of_its_squared_error(std: str) -> None:
     model = taught(f"algo.state_dependent_std={std}")
     buffer, rows = model.rollout_buffer, np.arange(1024)
     wanted, counts = (a.reshape(1024, -1) for a in model._lessons)
-    assert 0.0 < counts.mean() < 1.0
+    assert set(counts.ravel().tolist()) == {0.0, 2.0}
     observations, actions = (a.reshape(1024, -1) for a in (buffer.observations, buffer.actions))
     samples = [a.reshape(-1) for a in (buffer.log_probs, buffer.advantages, buffer.returns)]
     gradients = []
-    for lessons in ((wanted[:0], counts[:0, 0]), (wanted, 3.0 * counts[:, 0])):
+    for lessons in ((wanted[:0], counts[:0, 0]), (wanted, counts[:, 0])):
         update.gradient_step(
             model.networks.memory, model.actor, model.critic, model.networks.activation, model.parameters,
             model.gradient, rows, observations, actions, *samples, lessons, 0.2, 0.0, 0.5, True,
@@ -118,7 +119,7 @@ def test_a_lesson_adds_the_gradient_of_its_squared_error(std: str) -> None:
     latent = policy.mlp_extractor.forward_actor(torch.from_numpy(observations))
     error = policy.action_net(latent)[:, :4] - torch.from_numpy(wanted)
     beyond = (torch.from_numpy(np.abs(wanted)) >= 1.0) & (error * torch.from_numpy(wanted) >= 0.0)
-    loss = 3.0 * (torch.from_numpy(counts) * error.masked_fill(beyond, 0.0) ** 2).sum() / 1024
+    loss = (torch.from_numpy(counts) * error.masked_fill(beyond, 0.0) ** 2).sum() / 1024
     policy.zero_grad()
     loss.backward()
     expected = np.concatenate(
@@ -139,6 +140,59 @@ def test_teaching_ends_and_its_passings_are_starts_until_then() -> None:
         assert (memory.record[1:] != before[1:]).any() == (steps in (250, 499))  # at 0 the same as at first
     assert weights == pytest.approx([2.0, 1.0, 0.004, 0.0, 0.0])
     assert (memory.count[1:] > 0).all()
+
+
+def escaping(*overrides: str) -> tuple[Race, Teacher]:
+    """A training race all of whose episodes begin at hard starts, and its teacher."""
+    config = compose([*SMALL, "curriculum=none", "curriculum.escape_starts=1", *overrides])
+    race = Race(config, RaceMode.training(0, 64))
+    shown, escapes = load_demonstration(config), load_escapes(config)
+    assert shown is not None
+    assert escapes is not None
+    return race, Teacher(shown, race, escapes)
+
+
+def test_ways_out_are_told_from_hard_starts_as_long_as_they_last() -> None:
+    race, teacher = escaping()
+    escapes = load_escapes(race.config)
+    assert escapes is not None
+    race.reset()
+    begun = race.fleet.escape.copy()
+    assert (begun >= 0).all()
+    assert len(set(begun.tolist())) > 40
+    np.testing.assert_array_equal(race.fleet.state.T, escapes.start[begun, :17].astype(np.float32))
+    assert race.fleet.staged.all()  # none counts as an episode from the start
+    action, told = np.zeros((race.n, 4), np.float32), np.zeros(race.n, np.float32)
+    teacher.weight, teacher.escape_weight = 0.0, 2.0
+    for step in range(ACTIONS * HOLD):
+        teacher.advise(action, told)
+        assert (told == 2.0).all()
+        np.testing.assert_array_equal(action, escapes.action[begun, step // HOLD].astype(np.float32))
+        race.step(action)
+    assert (race.fleet.escape == begun).all()  # nobody has crashed
+    teacher.advise(action, told)
+    assert not told.any()
+
+
+def test_ways_out_count_until_they_do_not() -> None:
+    _, teacher = escaping("curriculum.escape_hold=0.2", "curriculum.escape_end=0.6")
+    weights = []
+    for steps in (0, 200, 400, 600, 900):
+        teacher.begin_rollout(steps, 1000)
+        weights.append((teacher.weight, teacher.escape_weight, teacher.teaches))
+    assert weights == [
+        (2.0, 2.0, True),
+        (pytest.approx(1.2), 2.0, True),
+        (pytest.approx(0.4), pytest.approx(1.0), True),
+        (0.0, 0.0, False),
+        (0.0, 0.0, False),
+    ]
+
+
+def test_without_ways_out_on_file_they_cannot_be_asked_for(tmp_path: Path) -> None:
+    config = compose([*SMALL, "curriculum.escape_starts=0.1", "quad.thrust_max=6.2"])
+    with pytest.raises(ConfigError, match="srlrace bound --escapes"):
+        shown_escapes(config)
 
 
 def test_a_track_without_a_flight_says_what_finds_one() -> None:
