@@ -21,7 +21,7 @@ from srlrace.task.pilot import Pilot
 from srlrace.task.race import Field, Race, RaceMode, make_field
 from srlrace.task.reset import records
 
-STARTS, BATCH = 300_000, 20_000  # starts that are looked at, and at a time
+STARTS, BATCH = 1_000_000, 20_000  # starts that are looked at, and at a time
 SEED = 5  # of these starts: other ones than those of training and evaluation
 LASTING = 0.6  # s: who hits what stands beside the start, or the floor, has done so by then
 FIRST_LOOK, LOOK = 8, 64  # random sequences of actions that are flown from a start; from a hard one none of the first

@@ -45,7 +45,7 @@ def survive(start: np.ndarray, action: np.ndarray) -> np.ndarray:
 
 
 def test_every_way_out_that_ships_is_survived(shipped):
-    assert len(shipped.start) > 400
+    assert len(shipped.start) > 1000
     assert survive(shipped.start, shipped.action).all()
 
 
@@ -122,7 +122,7 @@ def test_the_command_finds_and_keeps_them(tmp_path, monkeypatch):
     monkeypatch.setattr("srlrace.evaluation.escape.STARTS", 20)
     done = CliRunner().invoke(app, ["bound", "env=forest", "--escapes"])
     assert done.exit_code == 0, done.output
-    assert "of 475 hard starts" in done.output
+    assert "of 1532 hard starts" in done.output
     [path] = (tmp_path / "srlrace" / "bound" / "escapes").glob("*.npz")
     assert path.name == f"{escapes_key(FOREST)}.npz"
 
