@@ -285,7 +285,7 @@ def bound(
     """
     from srlrace.bound.command import bound as find_bound
     from srlrace.bound.command import demonstrate as find_demonstration
-    from srlrace.bound.command import show_escapes
+    from srlrace.evaluation.escape import show_escapes
     from srlrace.hydra_bridge import compose
     from srlrace.parse import ConfigError
 

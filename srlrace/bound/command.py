@@ -10,7 +10,6 @@ from pathlib import Path
 from rich.table import Table
 
 from srlrace.bound.demonstration import Demonstration, load_demonstration, save_demonstration
-from srlrace.bound.escapes import load_escapes, save_escapes
 from srlrace.bound.problem import Problem, problem_of
 from srlrace.bound.record import write_recording
 from srlrace.bound.store import cache_folder, load, save
@@ -60,24 +59,6 @@ def _demonstrated(config: Config, reference: Trajectory) -> Demonstration:
     from srlrace.bound.demonstrate import find_demonstration
 
     return find_demonstration(config, reference)
-
-
-def show_escapes(config: Config, again: bool) -> tuple[Table, Path]:
-    """Find ways out of hard starts for training, and keep them; returns what to print, and their file."""
-    from srlrace.evaluation.escape import find_escapes
-
-    check_single_map(config, "--escapes")
-    found = None if again else load_escapes(config)
-    if found is None:
-        found = find_escapes(config)
-        if len(found.start) == 0:
-            raise ConfigError("--escapes: random actions survive every start of this track; there is nothing to show")
-    path = save_escapes(config, found)
-    table = Table(show_header=False, box=None)
-    table.add_row("track", f"{config.env.name}, level {config.level.name}")
-    table.add_row("ways out", f"of {len(found.start)} hard starts")
-    table.add_row("kind", "what to do at first where hardly any sequence of actions survives")
-    return table, path
 
 
 def solve(config: Config, problem: Problem, restarts: int) -> Reference:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 
-from srlrace.bound.escapes import ACTIONS, HOLD, Escapes
-from srlrace.config import Config
+from srlrace.bound.escapes import ACTIONS, HOLD, Escapes, load_escapes, save_escapes
+from srlrace.checks import check_single_map
+from srlrace.config import Config, ConfigError
 from srlrace.evaluation.starts import EXTREMES, fly_plans, random_plans
 from srlrace.sim.airframe import GRAVITY
 from srlrace.task.arrays import FLYING
@@ -22,7 +25,7 @@ from srlrace.task.race import Field, Race, RaceMode, make_field
 from srlrace.task.reset import records
 
 STARTS, BATCH = 1_000_000, 20_000  # starts that are looked at, and at a time
-SEED = 5  # of these starts: other ones than those of training and evaluation
+SEED = 5  # of these starts; an evaluation draws others
 LASTING = 0.6  # s: who hits what stands beside the start, or the floor, has done so by then
 FIRST_LOOK, LOOK = 8, 64  # random sequences of actions that are flown from a start; from a hard one none of the first
 HARD = 6  # and at most so many of all of them survive
@@ -42,14 +45,33 @@ Indices = NDArray[np.int64]
 logger = logging.getLogger("srlrace.escape")
 
 
+def show_escapes(config: Config, again: bool) -> tuple[Table, Path]:
+    """Find ways out of hard starts for training, and keep them; returns what to print, and their file."""
+    check_single_map(config, "--escapes")
+    found = None if again else load_escapes(config)
+    if found is None:
+        found = find_escapes(config)
+    path = save_escapes(config, found)
+    table = Table(show_header=False, box=None)
+    table.add_row("track", f"{config.env.name}, level {config.level.name}")
+    table.add_row("ways out", f"of {len(found.start)} hard starts")
+    table.add_row("kind", "what to do at first where hardly any sequence of actions survives")
+    return table, path
+
+
 def find_escapes(config: Config, starts: int = STARTS, seed: int = 0) -> Escapes:
-    """Look at so many random starts, and find ways out of the hard ones; those without one are left out."""
+    """Look at so many random starts, and find ways out of the hard ones; those without one are left out.
+
+    Raises `ConfigError` where no start is hard and has one.
+    """
     search = _Search(config, np.random.default_rng(seed))
     hard = search.hard_starts(starts)
     logger.info("%d of %d starts are hard", len(hard), starts)
     plans, room = search.ways_out(hard)
     found = room > 0.0
     logger.info("ways out of %d of %d hard starts", found.sum(), len(hard))
+    if not found.any():
+        raise ConfigError(f"--escapes: none of {starts} starts is hard and has a way out; there is nothing to show")
     race = search.race(hard[found])
     race.reset()
     return Escapes(records(race.fleet).astype(np.float64), plans[found])

@@ -121,8 +121,10 @@ def phase_text(curriculum: CurriculumConfig, done: float) -> str:
         words.append(f"waypoints {larger:.2f} m larger")
     if (staged := (curriculum.gate_starts + curriculum.memory_starts) * phase.staged) > 0:
         words.append(f"{100 * staged:.0f} % of starts along the course")
-    if (hard := curriculum.hard_starts * (1.0 - phase.staged)) > 0:
+    if (hard := curriculum.hard_starts * phase.hard) > 0:
         words.append(f"{100 * hard:.0f} % before earlier crashes")
+    if curriculum.escape_starts > 0:
+        words.append(f"{100 * curriculum.escape_starts:.0f} % at hard starts")
     return "curriculum: " + ", ".join(words)
 
 

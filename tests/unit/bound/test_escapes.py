@@ -127,6 +127,12 @@ def test_the_command_finds_and_keeps_them(tmp_path, monkeypatch):
     assert path.name == f"{escapes_key(FOREST)}.npz"
 
 
+def test_where_no_start_is_hard_there_is_nothing_to_show(monkeypatch):
+    monkeypatch.setattr(escape, "LOOK", 16)
+    with pytest.raises(ConfigError, match="nothing to show"):
+        find_escapes(compose(["env=forest", "level=none", "randomization=none"]), 40)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

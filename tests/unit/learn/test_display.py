@@ -92,6 +92,9 @@ def test_the_phase_is_what_the_race_does(hundred):
     along = "25 % of starts along the course, 40 % before earlier crashes"
     assert phase_text(hard, 0.75) == f"curriculum: costs in full, {along}"
     assert phase_text(hard, 1.0) == "curriculum: costs in full, 80 % before earlier crashes"
+    late = replace(hard, hard_begin=0.9, escape_starts=0.06)
+    assert phase_text(late, 0.75) == "curriculum: costs in full, 25 % of starts along the course, 6 % at hard starts"
+    assert phase_text(late, 1.0) == "curriculum: costs in full, 80 % before earlier crashes, 6 % at hard starts"
 
 
 def test_a_trend_reaches_from_the_lowest_to_the_highest_with_gaps():
