@@ -40,12 +40,12 @@ def check(config: Config) -> None:
 
 
 def _check_curriculum(curriculum: CurriculumConfig) -> None:
-    for names in (("gate_starts", "memory_starts"), ("hard_starts",)):  # the former go as the latter come
-        first, *others = (f"curriculum.{name}" for name in (*names, "retry_starts", "escape_starts"))
-        total = sum(getattr(curriculum, name) for name in (*names, "retry_starts", "escape_starts"))
+    lasting = ("retry_starts", "escape_starts")
+    for names in (("gate_starts", "memory_starts", *lasting), ("hard_starts", *lasting)):  # the latter come as those go
+        total = sum(getattr(curriculum, name) for name in names)
         if total > 1.0:
-            listed = " and ".join([", ".join(others[:-1]), others[-1]])
-            raise ConfigError(f"{first}: with {listed} it makes {total:g}; takes at most 1")
+            first, *others, last = (f"curriculum.{name}" for name in names)
+            raise ConfigError(f"{first}: with {', '.join(others)} and {last} it makes {total:g}; takes at most 1")
     if curriculum.escape_starts > 0.0 and curriculum.teaching == 0.0:
         raise ConfigError(
             "curriculum.escape_starts: takes 0 while curriculum.teaching is 0, which is how much they count"

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from srlrace.bound.problem import Problem, problem_of
-from srlrace.bound.store import SHIPPED, cache_folder
-from srlrace.files import FileError, atomic_write, read_limited
+from srlrace.bound.store import SHIPPED, cache_folder, first_sound, keep
+from srlrace.files import FileError, read_limited
 from srlrace.schema import Config
 
 REVISION = 1  # of the method: a change that moves results makes older ones obsolete
@@ -30,7 +28,8 @@ RADIUS_SHARE = 2.0 / 3.0  # of the passing radius: ours
 THRUST_SHARE = 0.95  # of each rotor's thrust: ours
 RATE_SHARE = 0.9  # of the body rates that can be commanded: ours
 LIMIT = 2**20  # bytes of a file: a flight of a minute
-FOLDER = SHIPPED / "demonstrations"
+FOLDER_NAME = "demonstrations"
+FOLDER = SHIPPED / FOLDER_NAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,30 +72,20 @@ def demonstration_key(config: Config) -> str:
 
 def load_demonstration(config: Config) -> Demonstration | None:
     """Return the demonstration of a configuration, shipped or found here; None where there is none that is sound."""
-    for folder in (FOLDER, cache_folder() / "demonstrations"):
-        path = folder / f"{demonstration_key(config)}.npz"
-        try:
-            return _read(path, len(problem_of(config, "race").waypoints))
-        except (FileError, ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
-            continue
-    return None
+    targets = len(problem_of(config, "race").waypoints)
+    return first_sound(demonstration_key(config), (FOLDER,), FOLDER_NAME, lambda path: _read(path, targets))
 
 
 def save_demonstration(config: Config, found: Demonstration, folder: Path | None = None) -> Path:
     """Keep a demonstration for later commands; returns its file."""
-    folder = folder or cache_folder() / "demonstrations"
-    folder.mkdir(parents=True, exist_ok=True)
-    content = io.BytesIO()
-    np.savez_compressed(
-        content,
+    return keep(
+        folder or cache_folder() / FOLDER_NAME,
+        demonstration_key(config),
         state=found.state.astype(np.float32),
         action=found.action.astype(np.float32),
         passing=found.passing,
         duration=found.duration,
     )
-    path = folder / f"{demonstration_key(config)}.npz"
-    atomic_write(path, content.getvalue())
-    return path
 
 
 def _read(path: Path, targets: int) -> Demonstration:

@@ -10,24 +10,23 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from srlrace.bound.store import SHIPPED, cache_folder
+from srlrace.bound.store import SHIPPED, cache_folder, first_sound, keep
 from srlrace.config import to_dict
-from srlrace.files import FileError, atomic_write, read_limited
+from srlrace.files import FileError, read_limited
 from srlrace.schema import Config
 from srlrace.task.reset import record_size
 
 REVISION = 1  # of the search: a change that moves results makes older ones obsolete
 ACTIONS, HOLD = 5, 4  # actions of a way out, and control periods for which each is held: 0.4 s
 LIMIT = 2**21  # bytes of a file: some ten thousand ways out
-FOLDER = SHIPPED / "escapes"
+FOLDER_NAME = "escapes"
+FOLDER = SHIPPED / FOLDER_NAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,23 +47,14 @@ def escapes_key(config: Config) -> str:
 
 def load_escapes(config: Config) -> Escapes | None:
     """Return the ways out for a configuration, shipped or found here; None where there are none that are sound."""
-    for folder in (FOLDER, cache_folder() / "escapes"):
-        try:
-            return _read(folder / f"{escapes_key(config)}.npz", record_size(len(config.env.waypoints)))
-        except (FileError, ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
-            continue
-    return None
+    size = record_size(len(config.env.waypoints))
+    return first_sound(escapes_key(config), (FOLDER,), FOLDER_NAME, lambda path: _read(path, size))
 
 
 def save_escapes(config: Config, found: Escapes, folder: Path | None = None) -> Path:
     """Keep ways out for later commands; returns their file."""
-    folder = folder or cache_folder() / "escapes"
-    folder.mkdir(parents=True, exist_ok=True)
-    content = io.BytesIO()
-    np.savez_compressed(content, start=found.start.astype(np.float32), action=found.action.astype(np.float16))
-    path = folder / f"{escapes_key(config)}.npz"
-    atomic_write(path, content.getvalue())
-    return path
+    start, action = found.start.astype(np.float32), found.action.astype(np.float16)
+    return keep(folder or cache_folder() / FOLDER_NAME, escapes_key(config), start=start, action=action)
 
 
 def _read(path: Path, size: int) -> Escapes:

@@ -11,11 +11,14 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from srlrace.bound.accept import Rejected, accept
 from srlrace.bound.problem import Problem
@@ -30,6 +33,9 @@ TIMES = SHIPPED / "unseen.json"  # their times by `sample_key` and map seed, s, 
 LIMIT = 4 * 2**20  # bytes of a file: a thousand waypoints
 
 
+Content = TypeVar("Content")
+
+
 def cache_folder() -> Path:
     """Where solved references are kept between commands: ``$XDG_CACHE_HOME/srlrace/bound``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "srlrace" / "bound"
@@ -37,14 +43,40 @@ def cache_folder() -> Path:
 
 def load(problem: Problem) -> Reference | None:
     """Return the stored reference of a problem, shipped or solved here; None where there is none that still passes."""
-    for path in _places(problem):
+
+    def read(path: Path) -> Reference:
+        reference = _read(path)
+        accept(problem, reference.trajectory, reference.point_mass_time)
+        return reference
+
+    return first_sound(problem.key, (SHIPPED, UNSEEN), "", read)
+
+
+def first_sound(key: str, shipped: Sequence[Path], kind: str, read: Callable[[Path], Content]) -> Content | None:
+    """Read the file named ``key`` from the folders that ship, then from the cache's folder of a ``kind``.
+
+    Returns what ``read`` makes of the first that is there and sound, None where there is none.
+    """
+    folders = list(shipped)
+    with suppress(RuntimeError):  # no home folder
+        folders.append(cache_folder() / kind)
+    for path in (folder / f"{key}.npz" for folder in folders):
         try:
-            reference = _read(path)
-            accept(problem, reference.trajectory, reference.point_mass_time)
+            if path.is_file():
+                return read(path)
         except (FileError, Rejected, ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
             continue
-        return reference
     return None
+
+
+def keep(folder: Path, key: str, **arrays: ArrayLike) -> Path:
+    """Write named arrays to the file named ``key`` of a folder; returns it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
+    path = folder / f"{key}.npz"
+    atomic_write(path, content.getvalue())
+    return path
 
 
 def reference_time(problem: Problem) -> float | None:
@@ -76,28 +108,16 @@ def _samples(path: Path) -> dict[str, dict[str, float | None]]:
 
 def save(problem: Problem, reference: Reference, folder: Path | None = None, width: type = np.float64) -> Path:
     """Keep a reference for later commands, its states in floats of a ``width``; returns its file."""
-    folder = folder or cache_folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    best, content = reference.trajectory, io.BytesIO()
-    np.savez_compressed(
-        content,
+    best = reference.trajectory
+    return keep(
+        folder or cache_folder(),
+        problem.key,
         state=best.state.astype(width),
         thrust=best.thrust.astype(width),
         step=best.step,
         times=reference.times,
         point_mass_time=reference.point_mass_time,
     )
-    path = folder / f"{problem.key}.npz"
-    atomic_write(path, content.getvalue())
-    return path
-
-
-def _places(problem: Problem) -> Iterator[Path]:
-    try:
-        folders = [SHIPPED, UNSEEN, cache_folder()]
-    except RuntimeError:  # no home folder
-        folders = [SHIPPED, UNSEEN]
-    return (path for path in (folder / f"{problem.key}.npz" for folder in folders) if path.is_file())
 
 
 def _read(path: Path) -> Reference:

@@ -18,9 +18,9 @@ from srlrace.bound.escapes import ACTIONS, HOLD, Escapes, load_escapes, save_esc
 from srlrace.checks import check_single_map
 from srlrace.config import Config, ConfigError
 from srlrace.evaluation.starts import EXTREMES, fly_plans, random_plans
-from srlrace.sim.airframe import GRAVITY
+from srlrace.sim.airframe import GRAVITY, Airframe
 from srlrace.task.arrays import FLYING
-from srlrace.task.pilot import Pilot
+from srlrace.task.pilot import Steering
 from srlrace.task.race import Field, Race, RaceMode, make_field
 from srlrace.task.reset import records
 
@@ -65,6 +65,7 @@ def find_escapes(config: Config, starts: int = STARTS, seed: int = 0) -> Escapes
     Raises `ConfigError` where no start is hard and has one.
     """
     search = _Search(config, np.random.default_rng(seed))
+    logger.info("looking at %d starts, which takes some minutes where they are many", starts)
     hard = search.hard_starts(starts)
     logger.info("%d of %d starts are hard", len(hard), starts)
     plans, room = search.ways_out(hard)
@@ -85,6 +86,7 @@ class _Search:
     def __post_init__(self) -> None:
         self.field: Field = make_field(self.config, RaceMode.evaluation(SEED, np.arange(1)))
         self.period = self.config.sim.control_period
+        self.steering = Steering(Airframe(self.config.quad), self.config.quad.body_rate_max)
 
     def race(self, starts: Indices) -> Race:
         return Race(self.config, RaceMode.evaluation(SEED, starts), self.field)
@@ -113,15 +115,13 @@ class _Search:
         race = self.race(starts)
         race.reset()
         steps = ACTIONS * HOLD + round(COASTING / self.period)
-        pilot = Pilot(self.config, [np.zeros((1, 9))] * len(starts))
         alive, room, lived = np.ones(len(starts), bool), np.full(len(starts), np.inf), np.zeros(len(starts))
         for step in range(steps):
             if step < ACTIONS * HOLD:
                 action = np.ascontiguousarray(plans[:, step // HOLD], np.float32)
             else:
-                action = pilot.steer(
-                    race.fleet.state, np.array([0.0, 0.0, GRAVITY]) - BRAKING * race.fleet.state[3:6].T
-                )
+                state = race.fleet.state
+                action = self.steering.act(state, np.array([0.0, 0.0, GRAVITY]) - BRAKING * state[3:6].T)
             output = race.step(action)
             alive &= output.outcome == FLYING
             lived += alive
@@ -163,14 +163,13 @@ class _Search:
                 break
             sample = self.rng.choice(left, min(SAMPLE, len(left)), replace=False)
             found, _ = self.cross_entropy(starts[sample], np.zeros((len(sample), ACTIONS, 4)), 1.0, ROUNDS, PLANS)
-            while len(left):
-                room = np.stack([self.fly(starts[left], np.repeat(way[None], len(left), 0)) for way in found])
-                served = room >= SERVES
-                widest = served.sum(1).argmax()
-                if served[widest].sum() < 2:
-                    break
-                common[left[served[widest]]] = found[widest]
-                left = left[~served[widest]]
+            room = np.stack([self.fly(starts[left], np.repeat(way[None], len(left), 0)) for way in found])
+            serves = room >= SERVES  # (sample, left)
+            while (counts := serves.sum(1)).max() >= 2:
+                widest = counts.argmax()
+                served = serves[widest]
+                common[left[served]] = found[widest]
+                left, serves = left[~served], serves[:, ~served]
         logger.info("%d starts are served by no other's way out", len(left))
         if len(left):
             common[left], _ = self.cross_entropy(starts[left], common[left], 1.0, ROUNDS, PLANS)

@@ -75,11 +75,10 @@ def advise_escapes(fleet, actions, hold, worth, action, weight):
 
 @kernel
 def advise_all(fleet, rules, plan, error, worth, action, weight):
-    """Write the regulator's action (n, 4) for every drone, and ``worth`` where it is to be followed, else 0, (n,)."""
+    """Write the regulator's action (n, 4), and ``worth`` (n,), where it is to be followed; not elsewhere."""
     states, actions, gains, ranges = plan
     for i in range(fleet.state.shape[1]):
         target = fleet.target[i]
-        weight[i] = 0.0
         if target >= ranges.shape[0]:  # finished, and parked
             continue
         if is_displaced(fleet, rules, target, i) or is_displaced(fleet, rules, target + 1, i):

@@ -59,37 +59,34 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
     )
     if isinstance(model, LeanPPO):
         model.noise_correlation = algo.noise_correlation
-        shown = shown_flight(config)
-        model.teacher = Teacher(shown, env.race, shown_escapes(config)) if shown else None
+        shown = what_is_shown(config)
+        model.teacher = Teacher(env.race, *shown) if shown else None
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 
 
-def shown_flight(config: Config) -> Demonstration | None:
-    """Return the flight that the curriculum asks to show, if any; `ConfigError` where there is none on file."""
-    if config.curriculum.teaching == 0.0:
+def what_is_shown(config: Config) -> tuple[Demonstration, Escapes | None] | None:
+    """Return the flight and the ways out that the curriculum asks to show, if any.
+
+    Raises `ConfigError` where they are not on file.
+    """
+    curriculum = config.curriculum
+    if curriculum.teaching == 0.0:
         return None
-    shown = load_demonstration(config)
-    if shown is None:
+    flight = load_demonstration(config)
+    if flight is None:
         raise ConfigError(
             "curriculum.teaching: no flight of this track, level, quadrotor and displacement of waypoints is on file; "
             "find one with: srlrace bound --demonstrate, and the same settings"
         )
-    return shown
-
-
-def shown_escapes(config: Config) -> Escapes | None:
-    """Return the ways out that the curriculum asks to show, if any; `ConfigError` where there are none on file."""
-    if config.curriculum.escape_starts == 0.0:
-        return None
-    shown = load_escapes(config)
-    if shown is None:
+    escapes = load_escapes(config) if curriculum.escape_starts > 0.0 else None
+    if curriculum.escape_starts > 0.0 and escapes is None:
         raise ConfigError(
             "curriculum.escape_starts: no ways out of hard starts of this track, level, quadrotor and randomization "
             "are on file; find some with: srlrace bound --escapes, and the same settings"
         )
-    return shown
+    return flight, escapes
 
 
 def start_hovering(model: PPO, env: RaceVecEnv) -> None:

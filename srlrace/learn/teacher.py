@@ -37,7 +37,7 @@ class Teacher:
     ``weight`` is how much the flight counts and ``escape_weight`` how much the ways out do; 0 when that is over.
     """
 
-    def __init__(self, demonstration: Demonstration, race: Race, escapes: Escapes | None = None) -> None:
+    def __init__(self, race: Race, demonstration: Demonstration, escapes: Escapes | None = None) -> None:
         curriculum = race.config.curriculum
         self._race, self._demonstration = race, demonstration
         self._first, self._end = curriculum.teaching, curriculum.teaching_end

@@ -27,7 +27,7 @@ from srlrace.learn.finite import Diverged, check_rollout, check_update
 from srlrace.learn.interrupt import Interrupted, StopRequest, stop_request
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import build_policy, save_policy
-from srlrace.learn.ppo import build_ppo, capture, reinstate, shown_escapes, shown_flight
+from srlrace.learn.ppo import build_ppo, capture, reinstate, what_is_shown
 from srlrace.learn.progress import LEARNER, ProgressFile, outcome_ratios, write_scalars
 from srlrace.provenance import changes, circumstances, provenance
 from srlrace.runs import DIGEST, RunFolder
@@ -214,8 +214,7 @@ def train(config: Config, root: Path, argv: Sequence[str] = ()) -> Path:
     """
     folder = RunFolder(root / run_id(config))
     if not folder.has("policy.safetensors"):
-        shown_flight(config)  # where there is none, no folder shall be left behind
-        shown_escapes(config)
+        what_is_shown(config)  # where that is not on file, no folder shall be left behind
     # A stop may come up between two lines of a library's own clearing up; what it left switched is switched back.
     with torch.enable_grad(), stop_request(folder.id) as request, folder.lock():
         if (folder.path / "policy.safetensors").is_file():

@@ -62,12 +62,31 @@ def _timed(path: Array, speed: Array, dt: float) -> Array:
     return np.hstack([place, velocity, np.gradient(velocity, dt, axis=0)])
 
 
+class Steering:
+    """Turns quadrotors to where their thrust gives the accelerations that are wanted."""
+
+    def __init__(self, airframe: Airframe, rates: Sequence[float]) -> None:
+        self._most, self._rates = airframe.max_collective, np.array(rates)
+
+    def act(self, state: Array, wanted: Array) -> np.ndarray:
+        """Actions (n, 4) in the states (17, n), for accelerations (n, 3) with gravity's reaction, world, m/s^2."""
+        x = np.asarray(state, np.float64).T
+        w, v = x[:, 6:7], x[:, 7:10]
+        up = _turned(w, v, np.broadcast_to([0.0, 0.0, 1.0], v.shape))
+        collective = np.sum(wanted * up, axis=1)
+        aim = wanted / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 1e-6)
+        rates = TURN_GAIN * _turned(w, -v, np.cross(up, aim))
+        action = np.hstack([(2 * collective / self._most - 1)[:, None], rates / self._rates])
+        action[:, 3] = 0.0
+        return np.clip(action, -1, 1).astype(np.float32)
+
+
 class Pilot:
     """Flies n drones along n planned flights: a position controller on top of the rate controller."""
 
     def __init__(self, config: Config, plans: Sequence[Array]) -> None:
         airframe = Airframe(config.quad)
-        self._most, self._rates = airframe.max_collective, np.array(config.quad.body_rate_max)
+        self._steering = Steering(airframe, config.quad.body_rate_max)
         self._drag = float(airframe.drag_acceleration()[:2].mean())
         # Rotors and rate controller lag: the acceleration is that of the plan a little later.
         self._ahead = round((config.quad.rotor_time_constant + 0.1) / config.sim.control_period)
@@ -82,19 +101,7 @@ class Pilot:
         x = np.asarray(state, np.float64).T
         wanted = (now[:, :3] - x[:, :3]) / TIME_CONSTANT**2 + 2 * (now[:, 3:6] - x[:, 3:6]) / TIME_CONSTANT
         wanted += later[:, 6:9] + self._drag * x[:, 3:6] + [0.0, 0.0, GRAVITY]
-        return self.steer(state, wanted)
-
-    def steer(self, state: Array, wanted: Array) -> np.ndarray:
-        """Actions (n, 4) that turn to, and give, the wanted accelerations (n, 3) against gravity, world, m/s^2."""
-        x = np.asarray(state, np.float64).T
-        w, v = x[:, 6:7], x[:, 7:10]
-        up = _turned(w, v, np.broadcast_to([0.0, 0.0, 1.0], v.shape))
-        collective = np.sum(wanted * up, axis=1)
-        aim = wanted / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 1e-6)
-        rates = TURN_GAIN * _turned(w, -v, np.cross(up, aim))
-        action = np.hstack([(2 * collective / self._most - 1)[:, None], rates / self._rates])
-        action[:, 3] = 0.0
-        return np.clip(action, -1, 1).astype(np.float32)
+        return self._steering.act(state, wanted)
 
 
 def _turned(w: Array, v: Array, vector: Array) -> Array:

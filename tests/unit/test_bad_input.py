@@ -94,7 +94,7 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
     ("curriculum=defaults", "did you mean default?"),
     (
         "curriculum.hard_starts=0.9",
-        "curriculum.hard_starts: with curriculum.retry_starts and curriculum.escape_starts it",
+        "curriculum.hard_starts: with curriculum.retry_starts and curriculum.escape_starts it makes 1.1",
     ),
     (
         "curriculum.escape_starts=0.1",

@@ -14,7 +14,7 @@ from srlrace.config import ConfigError
 from srlrace.hydra_bridge import compose
 from srlrace.learn import update
 from srlrace.learn.lean_ppo import LeanPPO
-from srlrace.learn.ppo import build_ppo, shown_escapes
+from srlrace.learn.ppo import build_ppo, what_is_shown
 from srlrace.learn.teacher import SPREAD, Teacher, deviation, displaced, regulator
 from srlrace.learn.train import train
 from srlrace.task.arrays import FINISHED
@@ -36,7 +36,7 @@ def flight(*overrides: str) -> tuple[Demonstration, Race]:
 
 def test_whoever_does_as_told_finishes_in_the_time_shown() -> None:
     shown, race = flight("randomization=none")
-    teacher = Teacher(shown, race)
+    teacher = Teacher(race, shown)
     race.reset()
     errors = 0.1 * np.random.default_rng(0).normal(size=(race.n, 16)) * SPREAD
     start = displaced(np.repeat(shown.state[:1], race.n, 0), errors)
@@ -52,7 +52,7 @@ def test_whoever_does_as_told_finishes_in_the_time_shown() -> None:
 
 def test_there_is_nothing_to_say_far_away_or_where_a_waypoint_is_displaced() -> None:
     shown, race = flight("randomization=none")
-    teacher = Teacher(shown, race)
+    teacher = Teacher(race, shown)
     race.reset()
     race.fleet.state[:] = shown.state[0][:, None]
     race.fleet.state[0, 0] += 1.1
@@ -149,7 +149,7 @@ def escaping(*overrides: str) -> tuple[Race, Teacher]:
     shown, escapes = load_demonstration(config), load_escapes(config)
     assert shown is not None
     assert escapes is not None
-    return race, Teacher(shown, race, escapes)
+    return race, Teacher(race, shown, escapes)
 
 
 def test_ways_out_are_told_from_hard_starts_as_long_as_they_last() -> None:
@@ -190,9 +190,9 @@ def test_ways_out_count_until_they_do_not() -> None:
 
 
 def test_without_ways_out_on_file_they_cannot_be_asked_for(tmp_path: Path) -> None:
-    config = compose([*SMALL, "curriculum.escape_starts=0.1", "quad.thrust_max=6.2"])
+    config = compose([*SMALL, "curriculum.escape_starts=0.1", "randomization.velocity=1.1"])
     with pytest.raises(ConfigError, match="srlrace bound --escapes"):
-        shown_escapes(config)
+        what_is_shown(config)
 
 
 def test_a_track_without_a_flight_says_what_finds_one() -> None:
