@@ -216,6 +216,9 @@ class CurriculumConfig:
     obstacle_margin: float = setting(
         "obstacles are larger by this in all of the training", unit="m", low=0.0, high=100.0, default=0.0
     )
+    obstacle_margin_after: float = setting(
+        "but in the first part of an episode, so long, they are not", unit="s", low=0.0, high=600.0, default=0.0
+    )
     waypoint_margin: float = setting(
         "waypoints are smaller by this in all of the training", unit="m", low=0.0, high=100.0, default=0.0
     )

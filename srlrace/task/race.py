@@ -75,6 +75,8 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         passing_radius=track.passing_radius,
         arm_length=config.quad.arm_length,
         keep_out=config.keep_out,
+        margin=config.curriculum.obstacle_margin if mode.curriculum else 0.0,
+        margin_steps=round(config.curriculum.obstacle_margin_after / config.sim.control_period),
         airframe=airframe.pack(dtype),
         hover_thrust=airframe.hover_thrust,
         max_collective=airframe.max_collective,
@@ -249,7 +251,7 @@ class Race:
             gate_starts=curriculum.gate_starts * phase.staged,
             memory_starts=curriculum.memory_starts * phase.staged,
             hard_starts=curriculum.hard_starts * phase.hard,
-            keep_out=self.config.keep_out + curriculum.obstacle_margin - curriculum.obstacle_ease * phase.ease,
+            keep_out=self.config.keep_out - curriculum.obstacle_ease * phase.ease,
             passing_radius=self.config.env.passing_radius
             - curriculum.waypoint_margin
             + curriculum.waypoint_ease * phase.ease,

@@ -56,6 +56,12 @@ def draw_waypoints(fleet, rules, i):
 
 
 @inline
+def keep_out(fleet, rules, i):
+    """Return how close to a surface the centre of drone ``i`` may come now, in training with its margin."""
+    return rules.keep_out + (rules.margin if fleet.steps[i] >= rules.margin_steps else 0.0)
+
+
+@inline
 def draw_position(fleet, rules, field, scratch, i):
     """Draw the position until it is clear of obstacles; the last of `START_TRIES` draws stands.
 
@@ -71,7 +77,7 @@ def draw_position(fleet, rules, field, scratch, i):
         _, gap = nearest(
             state[0, i], state[1, i], state[2, i], fleet.map[i], *field, rules.reach, scratch.distance, scratch.index
         )
-        if gap > rules.keep_out:
+        if gap > keep_out(fleet, rules, i):
             break
 
 

@@ -32,7 +32,16 @@ from srlrace.task.arrays import (
     TIMEOUT,
 )
 from srlrace.task.observation import observe
-from srlrace.task.reset import FAR, extend_trail, is_offered, remember, remember_crash, remember_failure, reset_drone
+from srlrace.task.reset import (
+    FAR,
+    extend_trail,
+    is_offered,
+    keep_out,
+    remember,
+    remember_crash,
+    remember_failure,
+    reset_drone,
+)
 from srlrace.task.reward import body_rate, progress, reward_terms
 from srlrace.world.field import nearest, pass_waypoint, swept_gap
 
@@ -153,7 +162,7 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
     clearance = step_clearance(fleet, rules, field, scratch, gap, i)
     out.clearance[i] = clearance
     track_episode(fleet, scratch, clearance, body_rate(fleet.state, i), i)
-    if clearance < rules.keep_out - rules.arm_length:
+    if clearance < keep_out(fleet, rules, i) - rules.arm_length:
         return CRASHED
     if not inside(fleet.state, rules.bounds, i):
         return OUT_OF_BOUNDS

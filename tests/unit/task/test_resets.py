@@ -385,6 +385,16 @@ def test_margins_are_kept_in_training_alone(config, trained, flown, place_drones
         assert race.fleet.target.tolist() == [int(not kept), 1]
 
 
+def test_a_margin_can_leave_the_first_moments_of_an_episode_out(config, trained, place_drones, hover):
+    """Who starts beside a tree may not get further away from it in time, but must have done so later."""
+    plain = staged(config, obstacle_margin=0.05, obstacle_margin_after=0.1)
+    race = trained(dataclasses.replace(plain, level=config("level=1").level), 1)
+    tree, *_ = race.field.obstacles(0)
+    place_drones(race, [np.array([*tree.origin[:2], 2.0]) + [tree.sphere_radius + 0.27, 0, 0]], [[0, 0, 0]])
+    outcomes = [race.step(hover(1)).outcome[0] for _ in range(5)]
+    assert outcomes == [FLYING] * 4 + [CRASHED]
+
+
 def test_episodes_restart_at_once_in_training(config, trained, place_drones, hover):
     race = trained(staged(config), 3)
     place_drones(race, [[0, 0, 4], [0, 0, 4], [0, 0, 0.05]], [[0, 0, 0], [0, 0, 0], [0, 0, -5]])
