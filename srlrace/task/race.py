@@ -64,6 +64,7 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
     track, draw = config.env, config.randomization
     airframe = Airframe(config.quad)
     displaced = len(track.waypoints) if draw.every_waypoint else track.displaced_waypoints
+    spread = 1.0 + (config.curriculum.start_margin if mode.curriculum else 0.0)
     return Rules(
         dt=config.sim.control_period,
         substeps=config.sim.substeps,
@@ -95,9 +96,9 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         maps=field.maps,
         first_map=0,
         slots=field.slots,
-        start_position=draw.position,
-        start_velocity=draw.velocity,
-        start_attitude=draw.attitude,
+        start_position=spread * draw.position,
+        start_velocity=spread * draw.velocity,
+        start_attitude=spread * draw.attitude,
         quaternion_draw=draw.attitude_draw == "quaternion",
         min_height=draw.min_height,
         displaced=displaced,

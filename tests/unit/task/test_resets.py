@@ -395,6 +395,19 @@ def test_a_margin_can_leave_the_first_moments_of_an_episode_out(config, trained,
     assert outcomes == [FLYING] * 4 + [CRASHED]
 
 
+def test_starts_are_drawn_from_wider_ranges_in_training_alone(config, trained, flown):
+    settings = staged(config, start_margin=0.5)
+    draw = settings.randomization
+    for race, share in ((trained(settings, 2000), 1.5), (flown(settings, 2000), 1.0)):
+        race.reset()
+        away = np.abs(race.fleet.state[:2] - np.array(settings.env.start[:2])[:, None]).max(1)
+        speed = np.abs(race.fleet.state[3:6]).max(1)
+        up = 1.0 - 2.0 * (race.fleet.state[7] ** 2 + race.fleet.state[8] ** 2)  # cosine of the tilt
+        np.testing.assert_allclose(away, share * draw.position, rtol=0.01)
+        np.testing.assert_allclose(speed, share * draw.velocity, rtol=0.01)
+        assert up.min() == pytest.approx(np.cos(share * draw.attitude) ** 2, abs=0.05)
+
+
 def test_episodes_restart_at_once_in_training(config, trained, place_drones, hover):
     race = trained(staged(config), 3)
     place_drones(race, [[0, 0, 4], [0, 0, 4], [0, 0, 0.05]], [[0, 0, 0], [0, 0, 0], [0, 0, -5]])
