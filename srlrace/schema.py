@@ -214,7 +214,7 @@ class CurriculumConfig:
     ease_hold: float = setting("share of training during which both keep that", low=0.0, high=1.0, default=0.0)
     ease_end: float = setting("share of training after which both are true to size", low=0.0, high=1.0, default=0.0)
     obstacle_margin: float = setting(
-        "obstacles are larger by this in all of the training", unit="m", low=0.0, high=100.0, default=0.0
+        "obstacles are larger and walls nearer by this throughout training", unit="m", low=0.0, high=100.0, default=0.0
     )
     obstacle_margin_after: float = setting(
         "but in the first part of an episode, so long, they are not", unit="s", low=0.0, high=600.0, default=0.0

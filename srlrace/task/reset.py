@@ -56,9 +56,9 @@ def draw_waypoints(fleet, rules, i):
 
 
 @inline
-def keep_out(fleet, rules, i):
-    """Return how close to a surface the centre of drone ``i`` may come now, in training with its margin."""
-    return rules.keep_out + (rules.margin if fleet.steps[i] >= rules.margin_steps else 0.0)
+def training_margin(fleet, rules, i):
+    """Return how much further than in the race drone ``i`` must now keep away from obstacles and walls, in training."""
+    return rules.margin if fleet.steps[i] >= rules.margin_steps else 0.0
 
 
 @inline
@@ -77,7 +77,7 @@ def draw_position(fleet, rules, field, scratch, i):
         _, gap = nearest(
             state[0, i], state[1, i], state[2, i], fleet.map[i], *field, rules.reach, scratch.distance, scratch.index
         )
-        if gap > keep_out(fleet, rules, i):
+        if gap > rules.keep_out + training_margin(fleet, rules, i):
             break
 
 

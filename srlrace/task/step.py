@@ -36,11 +36,11 @@ from srlrace.task.reset import (
     FAR,
     extend_trail,
     is_offered,
-    keep_out,
     remember,
     remember_crash,
     remember_failure,
     reset_drone,
+    training_margin,
 )
 from srlrace.task.reward import body_rate, progress, reward_terms
 from srlrace.world.field import nearest, pass_waypoint, swept_gap
@@ -114,10 +114,10 @@ def step_clearance(fleet, rules, field, scratch, gap, i):
 
 
 @inline
-def inside(state, bounds, i):
-    """Whether drone ``i`` is inside the world; a box is convex, so the step's end decides for the chord."""
+def inside(state, bounds, margin, i):
+    """Whether drone ``i`` is ``margin`` m inside the world; a box is convex: the step's end decides for the chord."""
     for axis in range(3):
-        if state[axis, i] < bounds[axis] or state[axis, i] > bounds[3 + axis]:
+        if state[axis, i] < bounds[axis] + margin or state[axis, i] > bounds[3 + axis] - margin:
             return False
     return True
 
@@ -162,9 +162,10 @@ def judge(fleet, rules, field, memory, scratch, out, gap, i):
     clearance = step_clearance(fleet, rules, field, scratch, gap, i)
     out.clearance[i] = clearance
     track_episode(fleet, scratch, clearance, body_rate(fleet.state, i), i)
-    if clearance < keep_out(fleet, rules, i) - rules.arm_length:
+    margin = training_margin(fleet, rules, i)
+    if clearance < rules.keep_out + margin - rules.arm_length:
         return CRASHED
-    if not inside(fleet.state, rules.bounds, i):
+    if not inside(fleet.state, rules.bounds, margin, i):
         return OUT_OF_BOUNDS
     fraction = try_passing(fleet, rules, scratch, i)
     if fraction >= 0.0:

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from srlrace.task.arrays import CRASHED, DIVERGED, FLYING, TIMEOUT
+from srlrace.task.arrays import CRASHED, DIVERGED, FLYING, OUT_OF_BOUNDS, TIMEOUT
 from srlrace.task.observation import POSITION_SCALE
 
 N = 1500
@@ -383,6 +383,15 @@ def test_margins_are_kept_in_training_alone(config, trained, flown, place_drones
         place_drones(race, from_waypoint, [[10, 0, 0], [10, 0, 0]], target=0)
         race.step(hover(2))
         assert race.fleet.target.tolist() == [int(not kept), 1]
+
+
+def test_a_margin_is_kept_from_walls_in_training_alone(config, trained, flown, place_drones, hover):
+    settings = staged(config, obstacle_margin=0.05)
+    floor, far = settings.env.bounds_low[2], settings.env.bounds_high[0]
+    places = [[0.0, 0.0, floor + 0.03], [far - 0.03, 0.0, floor + 5.0], [0.0, 0.0, floor + 0.07]]
+    for race, outcomes in ((trained(settings, 3), [OUT_OF_BOUNDS] * 2 + [FLYING]), (flown(settings, 3), [FLYING] * 3)):
+        place_drones(race, places, np.zeros((3, 3)))
+        assert race.step(hover(3)).outcome.tolist() == outcomes
 
 
 def test_a_margin_can_leave_the_first_moments_of_an_episode_out(config, trained, place_drones, hover):
