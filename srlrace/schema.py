@@ -220,10 +220,10 @@ class CurriculumConfig:
         "but in the first part of an episode, so long, they are not", unit="s", low=0.0, high=600.0, default=0.0
     )
     waypoint_margin: float = setting(
-        "waypoints are smaller by this in all of the training", unit="m", low=0.0, high=100.0, default=0.0
+        "waypoints are smaller by this throughout training", unit="m", low=0.0, high=100.0, default=0.0
     )
     start_margin: float = setting(
-        "ranges of starts are wider by this share in all of the training", low=0.0, high=10.0, default=0.0
+        "ranges of starts are wider by this share throughout training", low=0.0, high=10.0, default=0.0
     )
     hard_starts: float = setting(
         "share of resets from where a flight was two passings before it crashed", low=0.0, high=1.0, default=0.0

@@ -39,7 +39,7 @@ class Rules(NamedTuple):
     passing_radius: float  # m
     arm_length: float  # m
     keep_out: float  # m, arm length plus safety margin: closer to a surface is a crash
-    margin: float  # m, that training adds to it, and that it keeps from walls
+    margin: float  # m, by which training keeps further from surfaces, and from walls
     margin_steps: int  # of an episode before it does
     airframe: Floats  # packed `srlrace.sim.airframe.Airframe`
     hover_thrust: float  # N per rotor
