@@ -36,6 +36,8 @@ def check(config: Config) -> None:
         raise ConfigError(f"curriculum.waypoint_margin: got {margin:g}; takes less than env.passing_radius, {radius:g}")
     if config.curriculum.teaching > 0.0:
         check_single_map(config, "curriculum.teaching")
+    if config.curriculum.room_rate > 0.0 and config.level.fresh_steps:
+        raise ConfigError("curriculum.room_rate: takes 0 with level.fresh_steps, whose maps come and go")
     check_memory(config, MEMORY_LIMIT)
 
 
@@ -51,7 +53,7 @@ def _check_curriculum(curriculum: CurriculumConfig) -> None:
             "curriculum.escape_starts: takes 0 while curriculum.teaching is 0, which is how much they count"
         )
     ramps = ("cost_hold", "cost_ramp"), ("staged_hold", "staged_end"), ("ease_hold", "ease_end")
-    for first, last in (*ramps, ("escape_hold", "escape_end")):
+    for first, last in (*ramps, ("escape_hold", "escape_end"), ("room_begin", "room_end")):
         begin, end = getattr(curriculum, first), getattr(curriculum, last)
         if begin > end:
             raise ConfigError(f"curriculum.{first}: got {begin:g}; takes at most curriculum.{last}, which is {end:g}")

@@ -252,6 +252,19 @@ class CurriculumConfig:
     escape_end: float = setting(
         "share of training after which they count nothing, reached linearly", low=0.0, high=1.0, default=0.0
     )
+    room_rate: float = setting(
+        "step size, at first, of steps towards more room on the way from hard starts, by a gradient through the "
+        "simulator; 0: none",
+        low=0.0, high=1.0, default=0.0,
+    )  # fmt: skip
+    room_begin: float = setting("share of training before which there are none", low=0.0, high=1.0, default=0.0)
+    room_end: float = setting("share of training after which there are none", low=0.0, high=1.0, default=1.0)
+    room_every: int = setting("rollouts from one such step to the next", low=1, high=10**6, default=1)
+    room_time: float = setting("how far they look ahead", unit="s", above=0.0, high=10.0, default=1.2)
+    room_wanted: float = setting(
+        "room that is enough: how much closer than that a drone may come before it is a crash",
+        unit="m", low=0.0, high=100.0, default=0.1,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

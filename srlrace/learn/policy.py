@@ -129,11 +129,15 @@ def load_policy(config: Config, path: Path) -> ActorCriticPolicy:
     return policy
 
 
+def mean_action(policy: ActorCriticPolicy, observation: Tensor) -> Tensor:
+    """Return the mean action (n, 4) for observations (n, d), not clipped, for autograd to go back through."""
+    features = cast(Tensor, policy.extract_features(observation, policy.pi_features_extractor))
+    output: Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
+    return output[:, : policy.log_std.numel()]
+
+
 def act(policy: ActorCriticPolicy, observation: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the deterministic action (n, 4) for observations (n, d), not yet clipped."""
     with torch.no_grad():
-        tensor = torch.from_numpy(observation)
-        features = cast(torch.Tensor, policy.extract_features(tensor, policy.pi_features_extractor))
-        latent = policy.mlp_extractor.forward_actor(features)
-        output: NDArray[np.float32] = policy.action_net(latent).numpy()
-    return output[:, : policy.log_std.numel()]
+        action: NDArray[np.float32] = mean_action(policy, torch.from_numpy(observation)).numpy()
+    return action

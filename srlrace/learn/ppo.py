@@ -16,6 +16,7 @@ from srlrace.bound.escapes import Escapes, load_escapes
 from srlrace.config import AlgoConfig, Config, ConfigError
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, policy_class, state_arrays
+from srlrace.learn.room_ascent import RoomAscent
 from srlrace.learn.teacher import Teacher
 from srlrace.learn.tensors import TensorFileError
 from srlrace.sim.airframe import GRAVITY
@@ -61,6 +62,8 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
         model.noise_correlation = algo.noise_correlation
         shown = what_is_shown(config)
         model.teacher = Teacher(env.race, *shown) if shown else None
+        if config.curriculum.room_rate > 0.0:
+            model.room_ascent = RoomAscent(env.race, model.policy, shown[1] if shown else None)
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
@@ -107,6 +110,10 @@ def load_optimizer(optimizer: torch.optim.Optimizer, arrays: dict[str, NDArray[A
     for key, array in arrays.items():
         index, name = key.split(".", 1)
         state.setdefault(int(index), {})[name] = torch.from_numpy(np.array(array))
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    for number, moments in state.items():
+        if any(moments[name].shape != parameters[number].shape for name in ("exp_avg", "exp_avg_sq")):
+            raise ValueError(f"the moments of parameter {number} have another shape")
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
@@ -115,13 +122,17 @@ def capture(model: PPO, env: RaceVecEnv, average: nn.Module | None = None) -> di
 
     Policy, Adam, the random numbers of torch and numpy (SB3 shuffles minibatches with numpy's global
     generator), the race with its streams and remembered passings, last observation, episode starts and
-    counters; the ``average`` of policies, where one is kept. The rollout buffer is empty then.
+    counters; the ``average`` of policies and the steps towards more room, where there are such. The rollout
+    buffer is empty then.
     """
     numpy_state = np.random.get_state(legacy=False)
+    ascent = model.room_ascent if isinstance(model, LeanPPO) else None
     groups = {
         "policy": state_arrays(model.policy),
         "average": state_arrays(average) if average else {},
         "optimizer": optimizer_arrays(model.policy.optimizer),
+        "room_optimizer": optimizer_arrays(ascent.optimizer) if ascent else {},
+        "room": {"hard": ascent.hard} if ascent else {},
         "race": env.race.snapshot(),
         "random": {
             "torch": torch.get_rng_state().numpy(),
@@ -154,6 +165,9 @@ def _reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]], ave
     if average:
         load_state(average, group("average"), "checkpoint")
     load_optimizer(model.policy.optimizer, group("optimizer"))
+    if isinstance(model, LeanPPO) and model.room_ascent:
+        load_optimizer(model.room_ascent.optimizer, group("room_optimizer"))
+        model.room_ascent.restore_hard(group("room")["hard"])
     env.race.restore(group("race"))
     random, loop = group("random"), group("loop")
     model._last_obs = loop["last_observation"]

@@ -59,9 +59,9 @@ class Teacher:
         """Whether anything counts yet."""
         return self.weight > 0.0 or self.escape_weight > 0.0
 
-    def begin_rollout(self, steps: int, total: int) -> None:
+    def begin_rollout(self, steps: int) -> None:
         """Say how many of the training's steps are done; while teaching goes on, its flight's passings are starts."""
-        self._set_weights(steps / total)
+        self._set_weights(steps / self._race.config.algo.total_steps)
         if self.weight > 0.0:
             self._offer_passings(steps)
 

@@ -138,9 +138,10 @@ class Training:
                 self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)
         self.env.race.refresh(steps)
-        teacher = self.model.teacher if isinstance(self.model, LeanPPO) else None
-        if teacher:
-            teacher.begin_rollout(steps, self.config.algo.total_steps)
+        if isinstance(self.model, LeanPPO):
+            for helper in (self.model.teacher, self.model.room_ascent):
+                if helper:
+                    helper.begin_rollout(steps)
 
     @torch.no_grad()
     def _extend_average(self) -> None:

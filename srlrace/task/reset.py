@@ -183,6 +183,13 @@ def records(fleet: Fleet) -> Floats:
     return np.concatenate([fleet.state, fleet.plant, fleet.waypoints.reshape(-1, fleet.steps.size), *flown]).T
 
 
+def put_records(fleet: Fleet, rows: Floats) -> None:
+    """Put the drones of a fleet where others were: the inverse of `records`; targets stay as they are."""
+    fleet.state[:], fleet.plant[:] = rows[:, :17].T, rows[:, 17:21].T
+    fleet.waypoints[:] = rows[:, 21:-2].T.reshape(fleet.waypoints.shape)
+    fleet.steps[:], fleet.map[:] = rows[:, -2], rows[:, -1]
+
+
 def nominal_records(rules: Rules, state: Floats, steps: int) -> Floats:
     """Records, as `write_record` writes them, of states (n, 17) of the nominal quadrotor on the first map.
 

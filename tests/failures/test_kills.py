@@ -18,7 +18,7 @@ from srlrace.learn.checkpoint import load_checkpoint
 from srlrace.learn.train import Training, train
 from srlrace.recording import read_states, recover
 
-FEW = ("buffers", "randomized", "mixed", "laps")  # between them, all that a training remembers
+FEW = ("buffers", "randomized", "mixed", "laps", "roomy")  # between them, all that a training remembers
 LONGEST = 0.9  # s that a process is left alone before it is killed, at most
 SAVE_OFTEN = {"srlrace.learn.train:SAVE_EVERY": 0.0}
 

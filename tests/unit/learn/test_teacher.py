@@ -23,7 +23,7 @@ from srlrace.task.vec_env import RaceVecEnv
 
 SMALL = [
     "env=forest", "algo.n_envs=16", "algo.n_steps=64", "algo.batch_size=256", "algo.n_epochs=1",
-    "curriculum.teaching=2", "curriculum.teaching_end=0.5",
+    "curriculum.teaching=2", "curriculum.teaching_end=0.5", "algo.total_steps=1000",
 ]  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def taught(*overrides: str) -> LeanPPO:
     model = build_ppo(env.race.config, env)
     assert isinstance(model, LeanPPO)
     assert model.teacher
-    model.teacher.begin_rollout(0, 1000)
+    model.teacher.begin_rollout(0)
     _, callback = model._setup_learn(16 * 64, None)
     model.collect_rollouts(env, callback, model.rollout_buffer, 64)
     return model
@@ -135,7 +135,7 @@ def test_teaching_ends_and_its_passings_are_starts_until_then() -> None:
     weights = []
     for steps in (0, 250, 499, 500, 900):
         before = memory.record.copy()
-        teacher.begin_rollout(steps, 1000)
+        teacher.begin_rollout(steps)
         weights.append(teacher.weight)
         assert (memory.record[1:] != before[1:]).any() == (steps in (250, 499))  # at 0 the same as at first
     assert weights == pytest.approx([2.0, 1.0, 0.004, 0.0, 0.0])
@@ -178,7 +178,7 @@ def test_ways_out_count_until_they_do_not() -> None:
     _, teacher = escaping("curriculum.escape_hold=0.2", "curriculum.escape_end=0.6")
     weights = []
     for steps in (0, 200, 400, 600, 900):
-        teacher.begin_rollout(steps, 1000)
+        teacher.begin_rollout(steps)
         weights.append((teacher.weight, teacher.escape_weight, teacher.teaches))
     assert weights == [
         (2.0, 2.0, True),
