@@ -22,7 +22,6 @@ from srlrace.task.reset import records
 
 # All ours.
 FLIGHTS = 128  # whose gradient makes a step
-DRAWN = 6000  # starts of which the hard ones are looked for, beside those with a known way out
 NEARLY = 0.05  # m: starts with up to so much more room than is wanted are flown, too
 HOPELESS = 0.25  # m: those that end deeper than this in something are not
 COUNTED = 0.2  # m: nor do they count
@@ -88,9 +87,10 @@ class RoomAscent:
 
 
 def drawn_starts(race: Race) -> NDArray[Any]:
-    """Draw starts of a training (`DRAWN`, record size) that none of its episodes has."""
+    """Draw starts of a training (``curriculum.room_starts``, record size) that none of its episodes has."""
     config = race.config
-    mode = RaceMode(config.seed, config.algo.n_envs + np.arange(DRAWN), autoreset=False, curriculum=True)
+    members = config.algo.n_envs + np.arange(config.curriculum.room_starts)
+    mode = RaceMode(config.seed, members, autoreset=False, curriculum=True)
     drawn = Race(config, mode, race.field)
     drawn.rules = drawn.rules._replace(
         gate_starts=0.0, memory_starts=0.0, retry_starts=0.0, hard_starts=0.0, escape_starts=0.0

@@ -41,6 +41,7 @@ KINDS = {
         "curriculum.room_begin=0.1",
         "curriculum.room_every=2",
         "curriculum.room_time=0.2",
+        "curriculum.room_starts=500",
         "env.horizon=1",
     ),
     "std_by_state": ("level=1", "algo.state_dependent_std=true", "env.horizon=1"),

@@ -29,7 +29,7 @@ ROLLOUT = 16 * 32
 SMALL = [
     "env=forest", "algo.n_envs=16", "algo.n_steps=32", "algo.batch_size=256", "algo.n_epochs=1",
     "algo.policy_layers=[32,32]", "algo.value_layers=[16]", f"algo.total_steps={20 * ROLLOUT}",
-    "curriculum.room_time=0.5",
+    "curriculum.room_time=0.5", "curriculum.room_starts=2000",
 ]  # fmt: skip
 
 
@@ -209,7 +209,7 @@ def test_what_is_interrupted_ends_the_same(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("room/hard", np.array([0, 6000])),
+        ("room/hard", np.array([0, 2000])),
         ("room/hard", np.array([-1])),
         ("room/hard", np.array([0.5])),
         ("room/hard", np.zeros((2, 2), np.int64)),
