@@ -261,7 +261,7 @@ class CurriculumConfig:
     room_end: float = setting("share of training after which there are none", low=0.0, high=1.0, default=1.0)
     room_starts: int = setting(
         "starts that are drawn to find hard ones among, besides those with a known way out",
-        low=0, high=1_000_000, default=6000,
+        low=1, high=1_000_000, default=6000,
     )  # fmt: skip
     room_every: int = setting("rollouts from one such step to the next", low=1, high=10**6, default=1)
     room_time: float = setting("how far they look ahead", unit="s", above=0.0, high=10.0, default=1.2)
