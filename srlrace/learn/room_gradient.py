@@ -74,11 +74,11 @@ class Flights(Race):
         """Observations (n, d), overwritten by the next call."""
         return cast(NDArray[np.float32], self.observe(self.fleet.state))
 
-    def room(self) -> Floats:
-        """Room (n,) of all drones where they are, m."""
-        room = np.empty(self.n)
+    def room(self, first: int | None = None) -> Floats:
+        """Room (n,) of all drones, or of so many first ones, where they are, m."""
+        room = np.empty(self.n if first is None else first)
         measure_room(self.fleet, self.rules, self.field.arrays, self._scratch, room)
-        room[self.fleet.target >= len(self.rules.sequence)] = OVER
+        room[self.fleet.target[: len(room)] >= len(self.rules.sequence)] = OVER
         return room
 
     def fly(self, action: NDArray[Any]) -> None:
@@ -135,7 +135,7 @@ class RoomGradient:
         for _ in range(self._steps):
             passages.append(self._pass())
             places.append(flights.fleet.state[:3, :n].T.copy())
-            rooms.append(flights.room()[:n])
+            rooms.append(flights.room(n))
         room, closest = np.min(rooms, axis=0), np.argmin(rooms, axis=0)
         counted = (room < wanted) & (room > hopeless)
         slopes = self._slopes(records, np.stack(places)[closest, np.arange(n)])
