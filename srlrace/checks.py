@@ -153,11 +153,16 @@ def memory_estimate(config: Config) -> dict[str, int]:
     maps = max(config.level.maps, config.randomization.maps)
     densest = min((spacing.pitch for spacing in config.level.spacings), default=float("inf"))
     per_map = int(x * y) * 256 + int(x * y / densest**2) * 128  # one cell a square metre; one lattice a tree
+    curriculum = config.curriculum
+    starts = curriculum.room_starts if curriculum.room_rate > 0.0 else 0
+    ahead = curriculum.room_time / config.sim.control_period if curriculum.room_rate > 0.0 else 0.0
     return {
         "algo.n_envs": algo.n_envs * (algo.n_steps * per_sample + per_drone),
         "algo.policy_layers": 16 * sum(layers),  # weights, gradients, Adam's two moments
         "algo.batch_size": algo.batch_size * width * 4 * 8,
         "level.maps": maps * per_map,
+        "curriculum.room_starts": starts * (per_drone + 8 * (size + width)),
+        "curriculum.room_time": int(ahead * 128 * 8 * (17 * 21 + 13 * size)),  # derivatives of 128 flights
     }
 
 

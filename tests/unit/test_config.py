@@ -185,6 +185,9 @@ def test_memory_estimate_grows_with_what_it_names(config):
     assert memory_estimate(config)["algo.n_envs"] >= samples * 4 * (34 + 4)  # at least observations and actions
     with pytest.raises(ConfigError, match=r"algo\.n_envs|level\.maps|algo\.batch_size"):
         check_memory(config, 1000)
+    roomy = dataclasses.replace(config.curriculum, room_rate=1e-3, room_starts=10**6)
+    with pytest.raises(ConfigError, match=r"curriculum\.room_starts: got 1000000, whose memory is about"):
+        check_memory(dataclasses.replace(config, curriculum=roomy), 2**30)
 
 
 @pytest.mark.parametrize(
