@@ -253,20 +253,23 @@ class CurriculumConfig:
         "share of training after which they count nothing, reached linearly", low=0.0, high=1.0, default=0.0
     )
     room_rate: float = setting(
-        "step size, at first, of steps towards more room on the way from hard starts, by a gradient through the "
+        "step size, at first, of steps towards more room where flights come close, by a gradient through the "
         "simulator; 0: none",
         low=0.0, high=1.0, default=0.0,
     )  # fmt: skip
     room_begin: float = setting("share of training before which there are none", low=0.0, high=1.0, default=0.0)
     room_end: float = setting("share of training after which there are none", low=0.0, high=1.0, default=1.0)
+    room_every: int = setting("rollouts from one such step to the next", low=1, high=10**6, default=1)
     room_starts: int = setting(
-        "starts that are drawn to find hard ones among, besides those with a known way out",
+        "flights that are searched for such places, besides those from starts with a known way out",
         low=1, high=1_000_000, default=6000,
     )  # fmt: skip
-    room_every: int = setting("rollouts from one such step to the next", low=1, high=10**6, default=1)
-    room_time: float = setting("how far they look ahead", unit="s", above=0.0, high=10.0, default=1.2)
+    room_time: float = setting(
+        "what is flown for a step: so long up to where a flight comes closest",
+        unit="s", above=0.0, high=10.0, default=1.2,
+    )  # fmt: skip
     room_wanted: float = setting(
-        "room that is enough: how much closer than that a drone may come before it is a crash",
+        "room that is enough: so much closer a drone may come before it is a crash",
         unit="m", low=0.0, high=100.0, default=0.1,
     )  # fmt: skip
 

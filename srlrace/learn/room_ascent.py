@@ -1,6 +1,6 @@
-"""Steps of a policy towards more room on the way from hard starts, between those of PPO.
+"""Steps of a policy towards more room where its flights come close to something, between the steps of PPO.
 
-Where a start is nearly lost, most actions are at their limit, noise changes little, and what it changes saves nobody:
+Where a flight is nearly lost, most actions are at their limit, noise changes little, and what it changes saves nobody:
 PPO has nothing to learn from there. The gradient of the room that is left has (`srlrace.learn.room_gradient`;
 docs/training.md says what it brings).
 """
@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from srlrace.bound.escapes import Escapes
-from srlrace.learn.room_gradient import Flights, RoomGradient, least_room
+from srlrace.learn.room_gradient import Flights, RoomGradient, before_closest, least_room
 from srlrace.task.race import Race, RaceMode
 from srlrace.task.reset import records
 
 # All ours.
 FLIGHTS = 128  # whose gradient makes a step
-NEARLY = 0.05  # m: starts with up to so much more room than is wanted are flown, too
-HOPELESS = 0.25  # m: those that end deeper than this in something are not
+AFTER = 3  # control periods for which these go on after they have come closest
+NEARLY = 0.02  # m: places with up to so much more room than is wanted are flown, too
+HOPELESS = 0.25  # m: those from where a flight gets deeper than this into something are not
 COUNTED = 0.2  # m: nor do they count
-LOOK_EVERY = 50  # steps from one look at all starts to the next
+LOOK_EVERY = 50  # steps from one look at whole flights to the next
 FINAL_RATE = 0.1  # of the step size at first, at the end
 MAX_NORM = 0.2  # of a gradient; longer ones are made so short
 
@@ -33,23 +34,24 @@ MAX_NORM = 0.2  # of a gradient; longer ones are made so short
 class RoomAscent:
     """Adam's steps along the room gradient, every ``curriculum.room_every`` rollouts of a training.
 
-    ``hard`` (k,) are the starts that are flown now, as indices into all that are known.
+    ``hard`` (k, record size + 1) are the places that are flown from now: on each, not long before a flight comes close.
     """
 
     def __init__(self, race: Race, policy: ActorCriticPolicy, escapes: Escapes | None) -> None:
         curriculum, algo = race.config.curriculum, race.config.algo
         self._curriculum, self._seed, self._total = curriculum, race.config.seed, algo.total_steps
         self._rollout = algo.n_envs * algo.n_steps
-        self._policy = policy
-        self._starts = drawn_starts(race)
+        self._race, self._policy = race, policy
+        starts = drawn_starts(race)
         if escapes is not None:
-            self._starts = np.vstack([escapes.start, self._starts])
-        self._flown = max(round(curriculum.room_time / race.config.sim.control_period), 1)
+            starts = np.vstack([escapes.start, starts])
+        self._starts = np.pad(starts, ((0, 0), (0, 1)))  # on the way to the first target
+        self._ahead = max(round(curriculum.room_time / race.config.sim.control_period), 1)
         self._all = Flights(race, len(self._starts))
-        self._gradient = RoomGradient(race, policy, FLIGHTS, self._flown)
+        self._gradient = RoomGradient(race, policy, FLIGHTS, self._ahead)
         self._parameters = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
         self.optimizer = torch.optim.Adam(self._parameters, lr=curriculum.room_rate)
-        self.hard = np.zeros(0, np.int64)
+        self.hard = np.zeros((0, self._starts.shape[1]))
 
     def begin_rollout(self, steps: int) -> None:
         """Take a step if one is due when so many of the training's ``steps`` are done."""
@@ -65,14 +67,17 @@ class RoomAscent:
             self._step(rate, np.random.default_rng([self._seed, steps]))
 
     def _look(self) -> None:
-        """Find the starts from which the policy has little room, but is not lost."""
-        room = least_room(self._all, self._policy, self._starts, self._flown)
-        self.hard = np.flatnonzero((room < self._curriculum.room_wanted + NEARLY) & (room > -HOPELESS))
+        """Find the places from which the policy has little room, but is not lost."""
+        enough = self._curriculum.room_wanted + NEARLY
+        room, places = before_closest(self._all, self._policy, self._starts, max(self._ahead - AFTER, 0))
+        places = places[room < enough]
+        room = least_room(Flights(self._race, len(places)), self._policy, places, self._ahead)
+        self.hard = places[(room < enough) & (room > -HOPELESS)]
 
     def _step(self, rate: float, rng: np.random.Generator) -> None:
-        chosen = rng.choice(self.hard, FLIGHTS, replace=len(self.hard) < FLIGHTS)
+        chosen = rng.choice(len(self.hard), FLIGHTS, replace=len(self.hard) < FLIGHTS)
         self.optimizer.zero_grad()
-        self._gradient(self._starts[chosen], self._curriculum.room_wanted, -COUNTED)
+        self._gradient(self.hard[chosen], self._curriculum.room_wanted, -COUNTED)
         torch.nn.utils.clip_grad_norm_(self._parameters, MAX_NORM)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -80,9 +85,13 @@ class RoomAscent:
         self.optimizer.zero_grad()
 
     def restore_hard(self, hard: NDArray[Any]) -> None:
-        """Take over the starts that are flown from a checkpoint; `ValueError` where they cannot be."""
-        if hard.dtype != np.int64 or hard.ndim != 1 or not ((hard >= 0) & (hard < len(self._starts))).all():
-            raise ValueError("hard starts are not some of those that are known")
+        """Take over the places that are flown from a checkpoint; `ValueError` where they cannot be."""
+        like = self.hard
+        if hard.dtype != like.dtype or hard.ndim != 2 or hard.shape[1] != like.shape[1] or not np.isfinite(hard).all():
+            raise ValueError("hard places are not records of this race")
+        for column, end in ((-1, len(self._race.rules.sequence)), (-2, self._race.rules.slots)):
+            if not ((hard[:, column] >= 0) & (hard[:, column] < end)).all():
+                raise ValueError("hard places have a target or a map that is not one of this race")
         self.hard = hard
 
 

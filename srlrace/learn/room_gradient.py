@@ -9,6 +9,7 @@ Differentiable Simulation" (ICLR 2022) learn whole tasks so, from a simulator th
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -16,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from srlrace.learn.policy import mean_action
+from srlrace.learn.policy import act, mean_action
 from srlrace.sim.compile import kernel
 from srlrace.sim.dynamics import advance
 from srlrace.task.race import ACTION_SIZE, STATE_SIZE, Race, RaceMode
@@ -58,7 +59,7 @@ def pass_targets(fleet: Any, rules: Any, scratch: Any) -> None:
 
 
 class Flights(Race):
-    """n flights without noise, from records of `srlrace.task.reset`, that no crash ends."""
+    """n flights without noise that no crash ends, from records of `srlrace.task.reset` that end with their target."""
 
     def __init__(self, race: Race, n: int) -> None:
         """Take settings and field from ``race``, and sizes as they are in evaluation."""
@@ -66,9 +67,14 @@ class Flights(Race):
         super().__init__(race.config, mode, race.field, dtype=np.float64)
 
     def begin(self, records: NDArray[Any]) -> None:
-        """Put all drones (n, record size) at the beginning of the track."""
-        put_records(self.fleet, records)
-        self.fleet.target[:] = 0
+        """Put all drones where their records (n, record size + 1) say."""
+        put_records(self.fleet, records[:, :-1])
+        self.fleet.target[:] = records[:, -1]
+
+    @property
+    def finished(self) -> NDArray[np.bool_]:
+        """Which drones (n,) have passed the last target."""
+        return self.fleet.target >= len(self.rules.sequence)
 
     def see(self) -> NDArray[np.float32]:
         """Observations (n, d), overwritten by the next call."""
@@ -78,7 +84,7 @@ class Flights(Race):
         """Room (n,) of all drones, or of so many first ones, where they are, m."""
         room = np.empty(self.n if first is None else first)
         measure_room(self.fleet, self.rules, self.field.arrays, self._scratch, room)
-        room[self.fleet.target[: len(room)] >= len(self.rules.sequence)] = OVER
+        room[self.finished[: len(room)]] = OVER
         return room
 
     def fly(self, action: NDArray[Any]) -> None:
@@ -96,11 +102,36 @@ def least_room(flights: Flights, policy: ActorCriticPolicy, records: NDArray[Any
     """Return the least room (n,) of a policy's flights of so many ``steps`` from ``records``, m."""
     flights.begin(records)
     room = np.full(flights.n, OVER)
-    with torch.no_grad():
-        for _ in range(steps):
-            flights.fly(mean_action(policy, torch.from_numpy(flights.see())).numpy())
-            room = np.minimum(room, flights.room())
+    for _ in range(steps):
+        flights.fly(act(policy, flights.see()))
+        room = np.minimum(room, flights.room())
     return room
+
+
+def before_closest(
+    flights: Flights, policy: ActorCriticPolicy, records: NDArray[Any], lead: int
+) -> tuple[Floats, Floats]:
+    """Fly a policy from ``records`` to the finish, or until it crashes.
+
+    Returns the least room (n,), m, and where each drone was ``lead`` steps before that, or at its start if that was
+    later: (n, record size + 1). The last flights, one in a hundred, are cut short.
+    """
+    flights.begin(records)
+    room, found = np.full(flights.n, OVER), records.astype(np.float64)
+    over = np.zeros(flights.n, np.bool_)
+    passed = deque([(flights.fleet.state.copy(), flights.fleet.target.copy())], lead + 1)
+    for _ in range(flights.rules.horizon_steps):
+        flights.fly(act(policy, flights.see()))
+        now = flights.room()
+        closer = (now < room) & ~over
+        room[closer] = now[closer]
+        passed.append((flights.fleet.state.copy(), flights.fleet.target.copy()))
+        state, target = passed[0]
+        found[closer, :STATE_SIZE], found[closer, -1] = state[:, closer].T, target[closer]
+        over |= (now < 0.0) | flights.finished
+        if over.mean() > 0.99:
+            break
+    return room, found
 
 
 class Passage(NamedTuple):
@@ -123,7 +154,7 @@ class RoomGradient:
 
     @torch.enable_grad()
     def __call__(self, records: NDArray[Any], wanted: float, hopeless: float) -> Floats:
-        """Fly from ``records`` (n, record size), and go back.
+        """Fly from ``records`` (n, record size + 1), and go back.
 
         What a flight lacks is how far its room is below ``wanted``, m; where that is less than ``hopeless``, it does
         not count. The gradient is that of the mean over all flights. Returns the room (n,) of each.

@@ -18,11 +18,11 @@ from srlrace.learn import train as training
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.room_ascent import HOPELESS, NEARLY, RoomAscent, drawn_starts
-from srlrace.learn.room_gradient import OVER, Flights, RoomGradient, least_room
+from srlrace.learn.room_gradient import OVER, Flights, RoomGradient, before_closest, least_room
 from srlrace.learn.tensors import TensorFileError
 from srlrace.learn.train import train
 from srlrace.task.race import Race, RaceMode
-from srlrace.task.reset import nominal_records, put_records, records
+from srlrace.task.reset import nominal_records, put_records, record_size, records
 from srlrace.task.vec_env import RaceVecEnv
 
 ROLLOUT = 16 * 32
@@ -45,10 +45,14 @@ def ascent_of(model: LeanPPO) -> RoomAscent:
     return model.room_ascent
 
 
+def at_first_target(starts: NDArray[Any]) -> NDArray[Any]:
+    return np.pad(starts, ((0, 0), (0, 1)))
+
+
 def known_starts(race: Race) -> NDArray[Any]:
     escapes = load_escapes(race.config)
     assert escapes is not None
-    return escapes.start
+    return at_first_target(escapes.start)
 
 
 def actor(policy: ActorCriticPolicy) -> list[torch.nn.Parameter]:
@@ -64,7 +68,7 @@ def test_drones_fly_as_in_the_race() -> None:
     race = Race(compose([*SMALL, "randomization=full"]), RaceMode.evaluation(3, np.arange(50)), dtype=np.float64)
     race.reset()
     flights = Flights(race, 50)
-    flights.begin(records(race.fleet))
+    flights.begin(at_first_target(records(race.fleet)))
     rng = np.random.default_rng(0)
     for _ in range(25):
         flying = ~race.fleet.parked
@@ -83,7 +87,7 @@ def test_room_is_what_is_left_before_a_crash() -> None:
     race = Race(compose(SMALL), RaceMode.evaluation(0, np.arange(4)))
     race.reset()
     flights, rules = Flights(race, 4), race.rules
-    flights.begin(records(race.fleet))
+    flights.begin(at_first_target(records(race.fleet)))
     state = flights.fleet.state
     state[2] = [1.0, 0.25, 0.02, -0.3]
     gaps = race.field.gaps(np.ascontiguousarray(state[:3].T)) - rules.keep_out  # type: ignore[union-attr]
@@ -128,26 +132,52 @@ def test_actions_beyond_their_limit_come_back() -> None:
     assert (bias != 0.0).all()
 
 
+def test_places_lead_to_where_a_flight_comes_closest() -> None:
+    model, env = learner("level=2")
+    starts, lead = at_first_target(drawn_starts(env.race)), 15
+    room, places = before_closest(Flights(env.race, len(starts)), model.policy, starts, lead)
+    assert (room < 0.0).mean() > 0.98, "an untrained policy hits something"
+    moved = (places != starts).any(1)
+    assert 0.5 < moved.mean() < 1.0
+    again = Flights(env.race, len(starts))
+    np.testing.assert_allclose(least_room(again, model.policy, places, lead)[moved], room[moved], atol=1e-9)
+    assert (least_room(again, model.policy, places, lead - 1) > room)[moved].all()
+
+
+def test_who_has_finished_comes_close_to_nothing() -> None:
+    model, env = learner("level=none")
+    starts = at_first_target(drawn_starts(env.race)[:2])
+    starts[:, :3], starts[:, 3:6], starts[:, 6:10] = env.race.rules.waypoints[-1], 0.0, [1.0, 0.0, 0.0, 0.0]
+    starts[:, -1] = len(env.race.rules.sequence) - 1
+    starts[1, 2] += 0.5  # too high: that one hovers on
+    flights = Flights(env.race, 2)
+    room = least_room(flights, model.policy, starts, 3)
+    assert flights.finished.tolist() == [True, False]
+    assert room[0] == OVER
+    assert room[1] < OVER
+
+
 def test_steps_make_room() -> None:
     model, env = learner("curriculum=taught_course", "curriculum.room_begin=0", "curriculum.room_wanted=0.1")
     ascent, starts = ascent_of(model), known_starts(env.race)
     flights = Flights(env.race, len(starts))
     before = least_room(flights, model.policy, starts, 25)
-    for _ in range(40):
-        ascent._look()
-        ascent._step(3e-3, np.random.default_rng(len(ascent.hard)))
+    for step in range(40):
+        if step % 10 == 0:
+            ascent._look()
+        ascent._step(3e-3, np.random.default_rng(step))
     after = least_room(flights, model.policy, starts, 25)
     assert (after < 0.0).sum() < 0.8 * (before < 0.0).sum()
 
 
-def test_hard_starts_are_those_with_little_room() -> None:
+def test_hard_places_are_those_with_little_room() -> None:
     model, env = learner("curriculum.room_wanted=0.2")
     ascent = ascent_of(model)
     ascent._look()
-    starts = drawn_starts(env.race)  # no ways out are shown, so no others are known
-    room = least_room(Flights(env.race, len(starts)), model.policy, starts, 25)
-    np.testing.assert_array_equal(ascent.hard, np.flatnonzero((room < 0.2 + NEARLY) & (room > -HOPELESS)))
-    assert 10 < len(ascent.hard) < len(starts)
+    assert 100 < len(ascent.hard) < 2000
+    room = least_room(Flights(env.race, len(ascent.hard)), model.policy, ascent.hard, 25)
+    assert (room < 0.2 + NEARLY).all()
+    assert (room > -HOPELESS).all()
 
 
 def test_drawn_starts_are_those_of_no_episode() -> None:
@@ -162,9 +192,10 @@ def test_drawn_starts_are_those_of_no_episode() -> None:
 
 
 def test_a_step_is_due_every_few_rollouts_between_begin_and_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    model, _ = learner("curriculum.room_begin=0.25", "curriculum.room_end=0.7", "curriculum.room_every=3")
+    model, env = learner("curriculum.room_begin=0.25", "curriculum.room_end=0.7", "curriculum.room_every=3")
     ascent, looks, steps = ascent_of(model), [], []
-    monkeypatch.setattr(ascent, "_look", lambda: (looks.append(rollout), ascent.restore_hard(np.arange(5))))
+    found = at_first_target(drawn_starts(env.race)[:5]).astype(np.float64)
+    monkeypatch.setattr(ascent, "_look", lambda: (looks.append(rollout), ascent.restore_hard(found)))
     monkeypatch.setattr(ascent, "_step", lambda rate, _: steps.append((rollout, rate)))
     for rollout in range(21):
         ascent.begin_rollout(rollout * ROLLOUT)
@@ -177,7 +208,7 @@ def test_a_step_is_due_every_few_rollouts_between_begin_and_end(monkeypatch: pyt
 def test_who_needs_no_room_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
     model, _ = learner("curriculum.room_every=1")
     ascent = ascent_of(model)
-    monkeypatch.setattr(ascent, "_look", lambda: ascent.restore_hard(np.zeros(0, np.int64)))
+    monkeypatch.setattr(ascent, "_look", lambda: None)
     before = model.parameters.copy()
     ascent.begin_rollout(0)
     np.testing.assert_array_equal(model.parameters, before)
@@ -206,13 +237,23 @@ def test_what_is_interrupted_ends_the_same(tmp_path: Path, monkeypatch: pytest.M
     assert (parts / "policy.safetensors").read_bytes() == weights[0]
 
 
+def place(target: float = 0.0, map_: float = 0.0) -> NDArray[Any]:
+    """A hard place as a checkpoint has it."""
+    row = np.zeros((1, record_size(len(compose(SMALL).env.waypoints)) + 1))
+    row[0, -2:] = map_, target
+    return row
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("room/hard", np.array([0, 2000])),
-        ("room/hard", np.array([-1])),
-        ("room/hard", np.array([0.5])),
-        ("room/hard", np.zeros((2, 2), np.int64)),
+        ("room/hard", place(target=9)),
+        ("room/hard", place(target=-1)),
+        ("room/hard", place(map_=1)),
+        ("room/hard", place(target=np.nan)),
+        ("room/hard", place()[:, 1:]),
+        ("room/hard", place()[0]),
+        ("room/hard", place().astype(np.float32)),
         ("room_optimizer/0.exp_avg", np.zeros(3, np.float32)),
     ],
 )
@@ -221,7 +262,7 @@ def test_a_strangers_checkpoint_is_refused(name: str, value: NDArray[Any]) -> No
     model._setup_learn(ROLLOUT, None)
     ascent_of(model).begin_rollout(0)
     arrays = capture(model, env)
-    reinstate(model, env, arrays)
+    reinstate(model, env, arrays | {"room/hard": place(target=8)})
     with pytest.raises(TensorFileError, match="not the state of this training"):
         reinstate(model, env, arrays | {name: value})
 
