@@ -106,6 +106,11 @@ class LeanPPO(PPO):
         callback.on_rollout_end()
         return True
 
+    def mean_action(self, observation: Floats) -> Floats:
+        """Return the policy's mean actions (n, 4) for observations (n, d), not clipped."""
+        self.networks.load(self.parameters)
+        return self.networks.evaluate(self.actor, observation)[:, : self.policy.log_std.numel()]
+
     def _judge(self, buffer: RolloutBuffer, truncated: list[tuple[int, int, NDArray[np.float32]]]) -> None:
         """Value the states of a rollout, then its actions by what followed them.
 

@@ -63,7 +63,7 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
         shown = what_is_shown(config)
         model.teacher = Teacher(env.race, *shown) if shown else None
         if config.curriculum.room_rate > 0.0:
-            model.room_ascent = RoomAscent(env.race, model.policy, shown[1] if shown else None)
+            model.room_ascent = RoomAscent(env.race, model.policy, model.mean_action, shown[1] if shown else None)
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from srlrace.bound.escapes import Escapes
-from srlrace.learn.room_gradient import Flights, RoomGradient, before_closest, least_room
+from srlrace.learn.room_gradient import Act, Flights, RoomGradient, before_closest, least_room
 from srlrace.task.race import Race, RaceMode
 from srlrace.task.reset import records
 
@@ -37,11 +37,12 @@ class RoomAscent:
     ``hard`` (k, record size + 1) are the places that are flown from now: on each, not long before a flight comes close.
     """
 
-    def __init__(self, race: Race, policy: ActorCriticPolicy, escapes: Escapes | None) -> None:
+    def __init__(self, race: Race, policy: ActorCriticPolicy, act: Act, escapes: Escapes | None) -> None:
+        """``act`` are the mean actions of the ``policy``, fast; ``escapes`` hold further starts."""
         curriculum, algo = race.config.curriculum, race.config.algo
         self._curriculum, self._seed, self._total = curriculum, race.config.seed, algo.total_steps
         self._rollout = algo.n_envs * algo.n_steps
-        self._race, self._policy = race, policy
+        self._race, self._act = race, act
         starts = drawn_starts(race)
         if escapes is not None:
             starts = np.vstack([escapes.start, starts])
@@ -69,9 +70,9 @@ class RoomAscent:
     def _look(self) -> None:
         """Find the places from which the policy has little room, but is not lost."""
         enough = self._curriculum.room_wanted + NEARLY
-        room, places = before_closest(self._all, self._policy, self._starts, max(self._ahead - AFTER, 0))
+        room, places = before_closest(self._all, self._act, self._starts, max(self._ahead - AFTER, 0))
         places = places[room < enough]
-        room = least_room(Flights(self._race, len(places)), self._policy, places, self._ahead)
+        room = least_room(Flights(self._race, len(places)), self._act, places, self._ahead)
         self.hard = places[(room < enough) & (room > -HOPELESS)]
 
     def _step(self, rate: float, rng: np.random.Generator) -> None:

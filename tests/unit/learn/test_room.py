@@ -104,7 +104,7 @@ def test_the_gradient_is_that_of_whole_flights(overrides: tuple[str, ...]) -> No
     gradient = RoomGradient(env.race, policy, 96, steps)
     room = gradient(start, wanted, hopeless)
     flights = Flights(env.race, 96)
-    np.testing.assert_allclose(room, least_room(flights, policy, start, steps), atol=1e-6)
+    np.testing.assert_allclose(room, least_room(flights, model.mean_action, start, steps), atol=1e-6)
     assert ((room < wanted) & (room > hopeless)).sum() > 40
     found = [p.grad.clone() for p in actor(policy) if p.grad is not None]
     norm = float(torch.cat([g.flatten() for g in found]).norm())
@@ -117,7 +117,7 @@ def test_the_gradient_is_that_of_whole_flights(overrides: tuple[str, ...]) -> No
             with torch.no_grad():
                 for p, w in zip(actor(policy), way, strict=True):
                     p += distance * w
-            moved.append(lack(least_room(flights, policy, start, steps), wanted, hopeless))
+            moved.append(lack(least_room(flights, model.mean_action, start, steps), wanted, hopeless))
         expected = sum(float((g * w).sum()) for g, w in zip(found, way, strict=True))
         assert (moved[0] - moved[1]) / 2e-3 == pytest.approx(expected, abs=0.02 * norm)
 
@@ -135,13 +135,13 @@ def test_actions_beyond_their_limit_come_back() -> None:
 def test_places_lead_to_where_a_flight_comes_closest() -> None:
     model, env = learner("level=2")
     starts, lead = at_first_target(drawn_starts(env.race)), 15
-    room, places = before_closest(Flights(env.race, len(starts)), model.policy, starts, lead)
+    room, places = before_closest(Flights(env.race, len(starts)), model.mean_action, starts, lead)
     assert (room < 0.0).mean() > 0.98, "an untrained policy hits something"
     moved = (places != starts).any(1)
     assert 0.5 < moved.mean() < 1.0
     again = Flights(env.race, len(starts))
-    np.testing.assert_allclose(least_room(again, model.policy, places, lead)[moved], room[moved], atol=1e-9)
-    assert (least_room(again, model.policy, places, lead - 1) > room)[moved].all()
+    np.testing.assert_allclose(least_room(again, model.mean_action, places, lead)[moved], room[moved], atol=1e-9)
+    assert (least_room(again, model.mean_action, places, lead - 1) > room)[moved].all()
 
 
 def test_who_has_finished_comes_close_to_nothing() -> None:
@@ -151,7 +151,7 @@ def test_who_has_finished_comes_close_to_nothing() -> None:
     starts[:, -1] = len(env.race.rules.sequence) - 1
     starts[1, 2] += 0.5  # too high: that one hovers on
     flights = Flights(env.race, 2)
-    room = least_room(flights, model.policy, starts, 3)
+    room = least_room(flights, model.mean_action, starts, 3)
     assert flights.finished.tolist() == [True, False]
     assert room[0] == OVER
     assert room[1] < OVER
@@ -161,12 +161,12 @@ def test_steps_make_room() -> None:
     model, env = learner("curriculum=taught_course", "curriculum.room_begin=0", "curriculum.room_wanted=0.1")
     ascent, starts = ascent_of(model), known_starts(env.race)
     flights = Flights(env.race, len(starts))
-    before = least_room(flights, model.policy, starts, 25)
+    before = least_room(flights, model.mean_action, starts, 25)
     for step in range(40):
         if step % 10 == 0:
             ascent._look()
         ascent._step(3e-3, np.random.default_rng(step))
-    after = least_room(flights, model.policy, starts, 25)
+    after = least_room(flights, model.mean_action, starts, 25)
     assert (after < 0.0).sum() < 0.8 * (before < 0.0).sum()
 
 
@@ -175,7 +175,7 @@ def test_hard_places_are_those_with_little_room() -> None:
     ascent = ascent_of(model)
     ascent._look()
     assert 100 < len(ascent.hard) < 2000
-    room = least_room(Flights(env.race, len(ascent.hard)), model.policy, ascent.hard, 25)
+    room = least_room(Flights(env.race, len(ascent.hard)), model.mean_action, ascent.hard, 25)
     assert (room < 0.2 + NEARLY).all()
     assert (room > -HOPELESS).all()
 
