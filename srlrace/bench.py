@@ -29,7 +29,7 @@ from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.ppo import build_ppo
 from srlrace.provenance import cpu_name, versions
 from srlrace.sim.dynamics import advance
-from srlrace.task.race import Race, RaceMode
+from srlrace.task.race import Race, RaceMode, commands
 from srlrace.task.vec_env import RaceVecEnv
 
 ROUNDS = 9
@@ -77,15 +77,12 @@ def bench_dynamics(config: Config, dtype: Any) -> Row:
     race.reset()
     rules, start = race.rules, race.fleet.state.copy()
     state = start.copy()
-    actions = random_actions(DRONES)
-    collective = 0.5 * (actions[..., :1] + 1) * rules.max_collective
-    commands = np.concatenate([collective, actions[..., 1:] * rules.body_rate_max], axis=2).transpose(0, 2, 1)
-    commands = np.ascontiguousarray(commands, dtype)
+    asked = np.ascontiguousarray(commands(rules, random_actions(DRONES)).transpose(0, 2, 1), dtype)
 
     def step(k: int) -> None:
         if k == 0:
             state[:] = start
-        advance(state, commands[k], race.fleet.plant, rules.airframe, rules.dt, rules.substeps)
+        advance(state, asked[k], race.fleet.plant, rules.airframe, rules.dt, rules.substeps)
 
     best, median = rates(step, DRONES)
     work = f"rate controller and RK4, {rules.substeps} substeps"

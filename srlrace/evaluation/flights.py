@@ -13,7 +13,7 @@ from srlrace.evaluation.suites import Suite
 from srlrace.learn.policy import act
 from srlrace.recording import Flight, SceneObstacle
 from srlrace.task.arrays import FLYING
-from srlrace.task.race import Race
+from srlrace.task.race import Race, commands
 from srlrace.world.obstacles import Obstacle
 
 
@@ -30,8 +30,7 @@ class History:
         """Keep the state that a step led to; ``flying`` are the episodes that were on when it began."""
         k, out = self.count, race.output
         started = bool(self._rows)
-        collective = 0.5 * (np.clip(action[:k, :1], -1, 1) + 1) * race.rules.max_collective
-        command = np.hstack([collective, np.clip(action[:k, 1:], -1, 1) * race.rules.body_rate_max])
+        command = commands(race.rules, np.clip(action[:k], -1.0, 1.0))
         self._rows.append(
             (
                 race.fleet.state[:, :k].copy(),

@@ -21,10 +21,9 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from srlrace.learn.policy import mean_action
 from srlrace.sim.compile import kernel
 from srlrace.sim.dynamics import advance
-from srlrace.task.race import ACTION_SIZE, STATE_SIZE, Race, RaceMode
+from srlrace.task.race import ACTION_SIZE, STATE_SIZE, Race, RaceMode, commands
 from srlrace.task.reset import put_records
-from srlrace.task.step import chord, sense, waypoint
-from srlrace.world.field import pass_waypoint
+from srlrace.task.step import sense, try_passing
 
 SEEN = 13  # values of the state, the first ones, that an observation depends on: all but the rotors' thrusts
 BLOCKS = 1 + STATE_SIZE + ACTION_SIZE  # a flight as it is, and with each value of its state and action moved a little
@@ -56,9 +55,7 @@ def pass_targets(fleet: Any, rules: Any, scratch: Any) -> None:
     """Advance the targets of drones that have passed theirs, coming from ``scratch.previous``."""
     for i in range(fleet.target.shape[0]):
         if fleet.target[i] < rules.sequence.shape[0]:
-            w = rules.sequence[fleet.target[i]]
-            if pass_waypoint(*chord(fleet, scratch, i), *waypoint(fleet, w, i), rules.passing_radius) >= 0.0:
-                fleet.target[i] += 1
+            try_passing(fleet, rules, scratch, i)
 
 
 class Flights(Race):
@@ -93,9 +90,7 @@ class Flights(Race):
     def fly(self, action: NDArray[Any]) -> None:
         """Fly one control period with actions (n, 4), clipped."""
         rules, scratch, state = self.rules, self._scratch, self.fleet.state
-        clipped = np.clip(action, -1.0, 1.0).T
-        scratch.command[0] = 0.5 * (clipped[0] + 1.0) * rules.max_collective
-        scratch.command[1:] = clipped[1:] * rules.body_rate_max[:, None]
+        scratch.command[:] = commands(rules, np.clip(action, -1.0, 1.0)).T
         scratch.previous[:3] = state[:3]
         advance(state, scratch.command, self.fleet.plant, rules.airframe, rules.dt, rules.substeps)
         pass_targets(self.fleet, rules, scratch)

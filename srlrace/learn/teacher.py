@@ -15,7 +15,7 @@ from srlrace.bound.escapes import HOLD, Escapes
 from srlrace.learn.advice import AROUND, ERRORS, advise_all, advise_escapes
 from srlrace.sim.dynamics import advance
 from srlrace.task.arrays import Rules
-from srlrace.task.race import Race, ramp
+from srlrace.task.race import Race, commands, ramp
 from srlrace.task.reset import nominal_records
 
 # How the regulator weighs errors against corrections, ours: 0.4 m as much as half the range of the collective, 0.3 m as
@@ -129,8 +129,7 @@ def linearise(shown: Demonstration, rules: Rules) -> tuple[Floats, Floats]:
 def fly_once(rules: Rules, state: Floats, action: Floats) -> Floats:
     """Return the states (n, 17) one control period after these, of the nominal quadrotor."""
     ended = np.ascontiguousarray(state.T)
-    collective = 0.5 * (action[:, :1] + 1.0) * rules.max_collective
-    command = np.ascontiguousarray(np.hstack([collective, action[:, 1:] * rules.body_rate_max]).T.astype(np.float64))
+    command = np.ascontiguousarray(commands(rules, action).T, np.float64)
     plant = np.tile(np.append(rules.drag, 1.0).astype(np.float64)[:, None], (1, len(state)))
     advance(ended, command, plant, rules.airframe.astype(np.float64), rules.dt, rules.substeps)
     return ended.T

@@ -177,6 +177,12 @@ def make_output(rules: Rules, n: int, size: int, dtype: DTypeLike) -> Output:
     )
 
 
+def commands(rules: Rules, action: NDArray[Any]) -> NDArray[Any]:
+    """Return what actions (..., 4) within [-1, 1] ask for, (..., 4): collective, m/s^2, and body rates, rad/s."""
+    collective = 0.5 * (action[..., :1] + 1.0) * rules.max_collective
+    return np.concatenate([collective, action[..., 1:] * rules.body_rate_max], axis=-1)
+
+
 def ramp(done: float, start: float, end: float) -> float:
     """Return 0 until ``start``, 1 from ``end`` on, and a straight line between."""
     return min(max((done - start) / (end - start), 0.0), 1.0) if end > start else float(done >= end)
