@@ -36,8 +36,11 @@ def check(config: Config) -> None:
         raise ConfigError(f"curriculum.waypoint_margin: got {margin:g}; takes less than env.passing_radius, {radius:g}")
     if config.curriculum.teaching > 0.0:
         check_single_map(config, "curriculum.teaching")
-    if config.curriculum.room_rate > 0.0 and config.level.fresh_steps:
-        raise ConfigError("curriculum.room_rate: takes 0 with level.fresh_steps, whose maps come and go")
+    for name in ("room_rate", "polish_rounds"):
+        if getattr(config.curriculum, name) > 0 and config.level.fresh_steps:
+            raise ConfigError(f"curriculum.{name}: takes 0 with level.fresh_steps, whose maps come and go")
+    if config.curriculum.polish_rounds > 0 and config.algo.averaged > 0.0:
+        raise ConfigError("curriculum.polish_rounds: takes 0 with algo.averaged, which leaves another policy behind")
     check_memory(config, MEMORY_LIMIT)
 
 
@@ -155,14 +158,19 @@ def memory_estimate(config: Config) -> dict[str, int]:
     per_map = int(x * y) * 256 + int(x * y / densest**2) * 128  # one cell a square metre; one lattice a tree
     curriculum = config.curriculum
     starts = curriculum.room_starts if curriculum.room_rate > 0.0 else 0
+    polished = curriculum.polish_starts if curriculum.polish_rounds > 0 else 0
     ahead = curriculum.room_time / config.sim.control_period if curriculum.room_rate > 0.0 else 0.0
+    whole = config.env.horizon / config.sim.control_period if polished else 0.0
+    derivatives = 8 * (17 * 21 + 13 * size)  # of a step of a flight by itself
     return {
         "algo.n_envs": algo.n_envs * (algo.n_steps * per_sample + per_drone),
         "algo.policy_layers": 16 * sum(layers),  # weights, gradients, Adam's two moments
         "algo.batch_size": algo.batch_size * width * 4 * 8,
         "level.maps": maps * per_map,
         "curriculum.room_starts": starts * (per_drone + 8 * (size + width)),
-        "curriculum.room_time": int(ahead * 128 * 8 * (17 * 21 + 13 * size)),  # derivatives of 128 flights
+        "curriculum.polish_starts": polished * (per_drone + 8 * (size + width)),
+        "curriculum.room_time": int(ahead * 128 * derivatives),
+        "env.horizon": int(whole * 64 * derivatives),
     }
 
 

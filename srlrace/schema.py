@@ -272,6 +272,28 @@ class CurriculumConfig:
         "room that is enough: so much closer a drone may come before it is a crash",
         unit="m", low=0.0, high=100.0, default=0.1,
     )  # fmt: skip
+    polish_rounds: int = setting(
+        "rounds, after all steps, of natural-gradient steps towards less time and more room, by gradients through the "
+        "simulator; 0: none",
+        low=0, high=10_000, default=0,
+    )  # fmt: skip
+    polish_starts: int = setting("whole flights that each round looks at first", low=1, high=1_000_000, default=20_000)
+    polish_time: float = setting(
+        "how much a step towards less time changes actions at first, root mean square of their norm; in the last "
+        "fifth there is none",
+        low=0.0, high=1.0, default=0.001,
+    )  # fmt: skip
+    polish_room: float = setting(
+        "how much a step towards more room changes actions, root mean square of their norm",
+        low=0.0, high=1.0, default=0.003,
+    )  # fmt: skip
+    polish_wanted: float = setting(
+        "room that is enough: so much closer a drone may come before it is a crash",
+        unit="m", low=0.0, high=100.0, default=0.04,
+    )  # fmt: skip
+    polish_inside: float = setting(
+        "and so far inside its sphere a waypoint is to be passed", unit="m", low=0.0, high=100.0, default=0.02
+    )
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from srlrace.learn import update
 from srlrace.learn.perceptron import OUTPUTS, Floats, Perceptrons
 from srlrace.learn.policy import log_deviations
+from srlrace.learn.polish import Polish
 from srlrace.learn.room_ascent import RoomAscent
 from srlrace.learn.teacher import Teacher
 
@@ -36,6 +37,7 @@ class LeanPPO(PPO):
     noise_correlation = 0.0  # of the exploration noise, from one step to the next; SB3's is white
     teacher: Teacher | None = None  # SB3 has none
     room_ascent: RoomAscent | None = None  # nor this
+    polish: Polish | None = None  # nor this
 
     def _setup_model(self) -> None:
         super()._setup_model()

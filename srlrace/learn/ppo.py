@@ -16,6 +16,7 @@ from srlrace.bound.escapes import Escapes, load_escapes
 from srlrace.config import AlgoConfig, Config, ConfigError
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import load_state, policy_arguments, policy_class, state_arrays
+from srlrace.learn.polish import Polish
 from srlrace.learn.room_ascent import RoomAscent
 from srlrace.learn.teacher import Teacher
 from srlrace.learn.tensors import TensorFileError
@@ -62,8 +63,11 @@ def build_ppo(config: Config, env: RaceVecEnv, learner: type[PPO] = LeanPPO) -> 
         model.noise_correlation = algo.noise_correlation
         shown = what_is_shown(config)
         model.teacher = Teacher(env.race, *shown) if shown else None
+        flown = env.race, model.policy, model.mean_action, shown[1] if shown else None
         if config.curriculum.room_rate > 0.0:
-            model.room_ascent = RoomAscent(env.race, model.policy, model.mean_action, shown[1] if shown else None)
+            model.room_ascent = RoomAscent(*flown)
+        if config.curriculum.polish_rounds > 0:
+            model.polish = Polish(*flown)
     start_hovering(model, env)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
@@ -122,17 +126,18 @@ def capture(model: PPO, env: RaceVecEnv, average: nn.Module | None = None) -> di
 
     Policy, Adam, the random numbers of torch and numpy (SB3 shuffles minibatches with numpy's global
     generator), the race with its streams and remembered passings, last observation, episode starts and
-    counters; the ``average`` of policies and the steps towards more room, where there are such. The rollout
-    buffer is empty then.
+    counters; the ``average`` of policies, the steps towards more room and the rounds of polish, where there are
+    such. The rollout buffer is empty then.
     """
     numpy_state = np.random.get_state(legacy=False)
-    ascent = model.room_ascent if isinstance(model, LeanPPO) else None
+    ascent, polish = (model.room_ascent, model.polish) if isinstance(model, LeanPPO) else (None, None)
     groups = {
         "policy": state_arrays(model.policy),
         "average": state_arrays(average) if average else {},
         "optimizer": optimizer_arrays(model.policy.optimizer),
         "room_optimizer": optimizer_arrays(ascent.optimizer) if ascent else {},
         "room": {"hard": ascent.hard} if ascent else {},
+        "polish": polish.capture() if polish else {},
         "race": env.race.snapshot(),
         "random": {
             "torch": torch.get_rng_state().numpy(),
@@ -168,6 +173,8 @@ def _reinstate(model: PPO, env: RaceVecEnv, arrays: dict[str, NDArray[Any]], ave
     if isinstance(model, LeanPPO) and model.room_ascent:
         load_optimizer(model.room_ascent.optimizer, group("room_optimizer"))
         model.room_ascent.restore_hard(group("room")["hard"])
+    if isinstance(model, LeanPPO) and model.polish:
+        model.polish.restore(group("polish"))
     env.race.restore(group("race"))
     random, loop = group("random"), group("loop")
     model._last_obs = loop["last_observation"]

@@ -1,7 +1,7 @@
 """Steps of a policy towards more room where its flights come close to something, between the steps of PPO.
 
 Where a flight is nearly lost, most actions are at their limit, noise changes little, and what it changes saves nobody:
-PPO has nothing to learn from there. The gradient of the room that is left has (`srlrace.learn.room_gradient`;
+PPO has nothing to learn from there. The gradient of the room that is left has (`srlrace.learn.flight_gradient`;
 docs/training.md says what it brings).
 """
 
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from srlrace.bound.escapes import Escapes
-from srlrace.learn.room_gradient import Act, Flights, RoomGradient, before_closest, least_room
-from srlrace.task.race import Race, RaceMode
-from srlrace.task.reset import records
+from srlrace.learn.flight_gradient import RoomGradient
+from srlrace.learn.flights import Act, Flights, at_first_target, before_closest, drawn_starts, least_room
+from srlrace.task.race import Race
 
 # All ours.
 FLIGHTS = 128  # whose gradient makes a step
@@ -43,10 +43,10 @@ class RoomAscent:
         self._curriculum, self._seed, self._total = curriculum, race.config.seed, algo.total_steps
         self._rollout = algo.n_envs * algo.n_steps
         self._race, self._act = race, act
-        starts = drawn_starts(race)
+        starts = drawn_starts(race, curriculum.room_starts)
         if escapes is not None:
             starts = np.vstack([escapes.start, starts])
-        self._starts = np.pad(starts, ((0, 0), (0, 1)))  # on the way to the first target
+        self._starts = at_first_target(starts)
         self._ahead = max(round(curriculum.room_time / race.config.sim.control_period), 1)
         self._all = Flights(race, len(self._starts))
         self._gradient = RoomGradient(race, policy, FLIGHTS, self._ahead)
@@ -94,16 +94,3 @@ class RoomAscent:
             if not ((hard[:, column] >= 0) & (hard[:, column] < end)).all():
                 raise ValueError("hard places have a target or a map that is not one of this race")
         self.hard = hard
-
-
-def drawn_starts(race: Race) -> NDArray[Any]:
-    """Draw starts of a training (``curriculum.room_starts``, record size) that none of its episodes has."""
-    config = race.config
-    members = config.algo.n_envs + np.arange(config.curriculum.room_starts)
-    mode = RaceMode(config.seed, members, autoreset=False, curriculum=True)
-    drawn = Race(config, mode, race.field)
-    drawn.rules = drawn.rules._replace(
-        gate_starts=0.0, memory_starts=0.0, retry_starts=0.0, hard_starts=0.0, escape_starts=0.0
-    )
-    drawn.reset()
-    return records(drawn.fleet)

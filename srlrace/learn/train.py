@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 
@@ -120,9 +121,31 @@ class Training:
                 raise
         with self._request.deferred(check=False):
             self.between_rollouts(final=True)
+        self._polish()
+        with self._request.deferred(check=False):
             finished = {"steps": self.model.num_timesteps, "train_wall_s": round(self.wall, 3)}
             write_sealed(self.folder.path / "run.json", self.folder.info | finished)
             save_policy(self.policy, self.folder.path / "policy.safetensors")  # last: it says that all is done
+
+    def _polish(self) -> None:
+        """Take the last stage's steps, if there is one, a round after the other."""
+        polish = self.model.polish if isinstance(self.model, LeanPPO) else None
+        try:
+            while polish and not polish.finished:
+                self._request.check()
+                with self._request.enforced():
+                    polish.round()
+                with self._request.deferred():
+                    check_update(self.model)
+                    self._newest = Checkpoint(self.model.num_timesteps, self._capture(), {})
+                    if time.monotonic() - self._saved >= SAVE_EVERY:
+                        self._save()
+        except Interrupted:
+            self._save()
+            raise
+
+    def _capture(self) -> dict[str, NDArray[Any]]:
+        return capture(self.model, self.env, self._average)
 
     def between_rollouts(self, final: bool = False) -> None:
         """Everything that happens when one rollout has been learned from and the next has not begun."""
@@ -133,7 +156,7 @@ class Training:
             self._extend_average()
             self._report(final)
             self._keep_snapshot(steps)
-            self._newest = Checkpoint(steps, capture(self.model, self.env, self._average), {})
+            self._newest = Checkpoint(steps, self._capture(), {})
             if final or time.monotonic() - self._saved >= SAVE_EVERY:
                 self._save()
         self.env.race.set_progress(steps / self.config.algo.total_steps)

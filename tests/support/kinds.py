@@ -42,6 +42,8 @@ KINDS = {
         "curriculum.room_every=2",
         "curriculum.room_time=0.2",
         "curriculum.room_starts=500",
+        "curriculum.polish_rounds=2",
+        "curriculum.polish_starts=200",
         "env.horizon=1",
     ),
     "std_by_state": ("level=1", "algo.state_dependent_std=true", "env.horizon=1"),

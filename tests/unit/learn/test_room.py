@@ -15,10 +15,11 @@ from srlrace.bound.escapes import load_escapes
 from srlrace.config import ConfigError
 from srlrace.hydra_bridge import compose
 from srlrace.learn import train as training
+from srlrace.learn.flight_gradient import RoomGradient
+from srlrace.learn.flights import OVER, Flights, before_closest, drawn_starts, least_room
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.ppo import build_ppo, capture, reinstate
-from srlrace.learn.room_ascent import HOPELESS, NEARLY, RoomAscent, drawn_starts
-from srlrace.learn.room_gradient import OVER, Flights, RoomGradient, before_closest, least_room
+from srlrace.learn.room_ascent import HOPELESS, NEARLY, RoomAscent
 from srlrace.learn.tensors import TensorFileError
 from srlrace.learn.train import train
 from srlrace.task.race import Race, RaceMode
@@ -134,7 +135,7 @@ def test_actions_beyond_their_limit_come_back() -> None:
 
 def test_places_lead_to_where_a_flight_comes_closest() -> None:
     model, env = learner("level=2")
-    starts, lead = at_first_target(drawn_starts(env.race)), 15
+    starts, lead = at_first_target(drawn_starts(env.race, 2000)), 15
     room, places = before_closest(Flights(env.race, len(starts)), model.mean_action, starts, lead)
     assert (room < 0.0).mean() > 0.98, "an untrained policy hits something"
     moved = (places != starts).any(1)
@@ -146,7 +147,7 @@ def test_places_lead_to_where_a_flight_comes_closest() -> None:
 
 def test_who_has_finished_comes_close_to_nothing() -> None:
     model, env = learner("level=none")
-    starts = at_first_target(drawn_starts(env.race)[:2])
+    starts = at_first_target(drawn_starts(env.race, 2000)[:2])
     starts[:, :3], starts[:, 3:6], starts[:, 6:10] = env.race.rules.waypoints[-1], 0.0, [1.0, 0.0, 0.0, 0.0]
     starts[:, -1] = len(env.race.rules.sequence) - 1
     starts[1, 2] += 0.5  # too high: that one hovers on
@@ -182,7 +183,7 @@ def test_hard_places_are_those_with_little_room() -> None:
 
 def test_drawn_starts_are_those_of_no_episode() -> None:
     race = Race(compose([*SMALL, "curriculum=taught_course"]), RaceMode.training(0, 16))
-    drawn = drawn_starts(race)
+    drawn = drawn_starts(race, 2000)
     assert (drawn[:, -2] == 0.0).all()
     spread = np.abs(drawn[:, :3] - race.rules.start).max(0)
     assert (spread > 1.1).any(), "as wide as training's"  # 1 m, and 30 % more
@@ -194,7 +195,7 @@ def test_drawn_starts_are_those_of_no_episode() -> None:
 def test_a_step_is_due_every_few_rollouts_between_begin_and_end(monkeypatch: pytest.MonkeyPatch) -> None:
     model, env = learner("curriculum.room_begin=0.25", "curriculum.room_end=0.7", "curriculum.room_every=3")
     ascent, looks, steps = ascent_of(model), [], []
-    found = at_first_target(drawn_starts(env.race)[:5]).astype(np.float64)
+    found = at_first_target(drawn_starts(env.race, 2000)[:5]).astype(np.float64)
     monkeypatch.setattr(ascent, "_look", lambda: (looks.append(rollout), ascent.restore_hard(found)))
     monkeypatch.setattr(ascent, "_step", lambda rate, _: steps.append((rollout, rate)))
     for rollout in range(21):

@@ -1,0 +1,245 @@
+"""The last stage of a training: natural-gradient steps along whole flights, towards less time and more room.
+
+PPO ends where its noise ends: it cannot tell flights apart that differ by a hundredth of a second, nor mend what one
+flight in ten thousand hits. The gradients of time and room through the simulator (`srlrace.learn.flight_gradient`)
+can. A step of the natural gradient is the longest way along a gradient that changes the policy's actions on ordinary
+flights by no more than so much (Kakade, "A Natural Policy Gradient", NIPS 2001; Schulman et al., "Trust Region Policy
+Optimization", ICML 2015, find it by conjugate gradients, too): so what mends one flight hardly touches the others.
+docs/training.md says what it brings.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+from torch.func import functional_call, jvp, vjp
+
+from srlrace.bound.escapes import Escapes
+from srlrace.learn.flight_gradient import RoomGradient, TimeGradient
+from srlrace.learn.flights import Act, Flights, Floats, at_first_target, before_closest, drawn_starts, least_room
+from srlrace.task.race import Race
+
+# All ours.
+STEPS = 20  # of a round
+CLOSE_FLIGHTS, TIMED_FLIGHTS = 128, 64  # whose gradients make a step
+AHEAD = 1.2  # s of a flight up to where it comes closest
+AFTER = 3  # control periods for which these go on after that
+NEARLY = 0.01  # m: places with up to so much more room than is wanted are flown, too, though less often
+HOPELESS = 0.25  # m: those from where a flight gets deeper than this into something are not
+COUNTED = 0.2  # m: nor do they count
+SLOWER = 1.1  # times the mean time of a flight: those that take longer do not count for the time
+TIMED = 0.8  # share of the rounds after which there are no steps towards less time, reached linearly
+LAST = 0.5  # of the size of steps towards more room is left from then on
+SAMPLED = 1 / 250  # of the observations of all flights are kept: about one of each flight
+OBSERVATIONS = 4096  # of these make the metric of a step
+DAMPING = 1e-3  # added to the metric
+ITERATIONS = 12  # of conjugate gradients
+WORSE, TOLERATED = 2.0, 0.005  # times the share of flights that fail, and so much more of all: that was a bad round
+
+logger = logging.getLogger(__name__)
+
+
+class Look(NamedTuple):
+    """What whole flights show."""
+
+    starts: NDArray[Any]  # (n, record size + 1): where they began, known hard starts excepted
+    places: NDArray[Any]  # (k, record size + 1): not long before some of them come close to something
+    lack: Floats  # (k,) m, of what is wanted there
+    seen: NDArray[np.float32]  # (m, d): observations from anywhere
+    steps: float  # that a flight takes
+    failed: float  # share of all flights that touch something, or miss a waypoint
+
+
+class Polish:
+    """Rounds of natural-gradient steps, each round from a look at ``curriculum.polish_starts`` new whole flights on.
+
+    Steps that are too long ruin a policy. If a look finds that far more flights fail than after the best round so far,
+    its weights come back, and steps towards less time are half as long from then on.
+    """
+
+    def __init__(self, race: Race, policy: ActorCriticPolicy, act: Act, escapes: Escapes | None) -> None:
+        """``act`` are the mean actions of the ``policy``, fast; ``escapes`` hold further starts."""
+        self._race, self._policy, self._act = race, policy, act
+        self._known = at_first_target(escapes.start) if escapes else None
+        self._metric = ActionMetric(policy)
+        self._ahead = max(round(AHEAD / race.config.sim.control_period), AFTER)
+        curriculum = race.config.curriculum
+        self._ease = curriculum.polish_wanted - curriculum.polish_inside
+        self._rounds = curriculum.polish_rounds
+        self._looks = 0
+        self._caution = 1.0  # how long steps towards less time are, as a share of what they were to be
+        self._best, self._failed = (
+            self._metric.weights,
+            1.0,
+        )  # of the best round: its weights, and the share that failed
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing more to do."""
+        return self._looks > self._rounds
+
+    def capture(self) -> dict[str, NDArray[Any]]:
+        """Return what the next round depends on, besides the policy's weights."""
+        counters = {"looks": self._looks, "caution": self._caution, "failed": self._failed}
+        best = {f"best.{name}": weight.numpy() for name, weight in self._best.items()}
+        return {name: np.array(value) for name, value in counters.items()} | best
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Go on from what `capture` returned; `ValueError` or `KeyError` where it is not of such a stage."""
+        looks, caution, failed = (float(arrays[name].item()) for name in ("looks", "caution", "failed"))
+        if not (looks in range(self._rounds + 2) and 0.0 <= caution <= 1.0 and 0.0 <= failed <= 1.0):
+            raise ValueError(f"polish has no such state: {looks} looks, {caution}, {failed}")
+        best = {name: torch.from_numpy(np.array(arrays[f"best.{name}"])) for name in self._best}
+        if any(weight.shape != self._best[name].shape for name, weight in best.items()):
+            raise ValueError("the best weights of the polish have other shapes")
+        self._looks, self._caution, self._failed, self._best = int(looks), caution, failed, best
+
+    def round(self) -> None:
+        """Look where flights come close, and take steps; after the last ones, just look."""
+        rng = np.random.default_rng([self._race.config.seed, self._looks])
+        look = self._look(rng)
+        if look.failed <= self._failed:
+            self._best, self._failed = self._metric.weights, look.failed
+        elif look.failed > WORSE * self._failed + TOLERATED:
+            logger.info("polish: that was worse; back to the best round, with steps half as long")
+            self._metric.weights, self._caution = self._best, 0.5 * self._caution
+            look = self._look(rng)
+        if self._looks < self._rounds:
+            self._take_steps(look, rng)
+        self._looks += 1
+
+    def _take_steps(self, look: Look, rng: np.random.Generator) -> None:
+        curriculum = self._race.config.curriculum
+        share = self._looks / self._rounds
+        time_change = self._caution * curriculum.polish_time * max(1.0 - share / TIMED, 0.0)
+        room_change = curriculum.polish_room * (1.0 if share < TIMED else LAST)
+        room_of = RoomGradient(self._race, self._policy, CLOSE_FLIGHTS, self._ahead, self._ease)
+        time_of = TimeGradient(self._race, self._policy, TIMED_FLIGHTS, round(SLOWER * look.steps))
+        often = look.lack + 1e-4  # m: the more often the more is lacking, but others as well
+        for _ in range(STEPS):
+            observations = torch.from_numpy(look.seen[rng.permutation(len(look.seen))[:OBSERVATIONS]])
+            ways = []
+            if time_change > 0.0:
+                time_of(look.starts[rng.choice(len(look.starts), TIMED_FLIGHTS)])
+                ways.append(self._metric.way(observations, time_change))
+            if room_change > 0.0 and len(look.places):
+                close = rng.choice(len(look.places), CLOSE_FLIGHTS, p=often / often.sum())
+                room_of(look.places[close], curriculum.polish_wanted, -COUNTED)
+                ways.append(self._metric.way(observations, room_change))
+            for way in ways:
+                self._metric.move(way)
+
+    def _look(self, rng: np.random.Generator) -> Look:
+        """Fly whole flights from starts that no other round has, and from known hard ones."""
+        wanted = self._race.config.curriculum.polish_wanted
+        n = self._race.config.curriculum.polish_starts
+        starts = drawn = at_first_target(drawn_starts(self._race, n, self._looks * n))
+        if self._known is not None:
+            starts = np.vstack([self._known, drawn])
+        seen: list[NDArray[np.float32]] = []
+        steps = 0
+
+        def watch(observation: NDArray[np.float32], flying: NDArray[np.bool_]) -> None:
+            nonlocal steps
+            seen.append(observation[flying & (rng.random(len(flying)) < SAMPLED)])
+            steps += int(flying.sum())
+
+        flights = Flights(self._race, len(starts), self._ease)
+        room, places = before_closest(flights, self._act, starts, self._ahead - AFTER, watch)
+        close = places[room < wanted + NEARLY]
+        left = least_room(Flights(self._race, len(close), self._ease), self._act, close, self._ahead)
+        flown = (left < wanted + NEARLY) & (left > -HOPELESS)
+        steps_each = steps / len(starts)
+        logger.info(
+            "polish %d/%d: %d flights of %.2f s on average, %d of them closer than wanted, %d fail",
+            self._looks, self._rounds, len(starts), steps_each * self._race.rules.dt,
+            int((room < wanted).sum()), int((room < 0.0).sum()),
+        )  # fmt: skip
+        return Look(
+            starts=drawn,
+            places=close[flown],
+            lack=np.maximum(wanted - left[flown], 0.0),
+            seen=np.concatenate(seen),
+            steps=steps_each,
+            failed=float((room < 0.0).mean()),
+        )
+
+
+class ActionMetric:
+    """Steps of a policy network, measured by how much they change its mean actions."""
+
+    def __init__(self, policy: ActorCriticPolicy) -> None:
+        self._network = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+        self._parameters = dict(self._network.named_parameters())
+        self._actions = policy.log_std.numel()
+
+    @property
+    def weights(self) -> dict[str, Tensor]:
+        """A copy of the network's weights, by name; set, they are written to where they are."""
+        return {name: p.detach().clone() for name, p in self._parameters.items()}
+
+    @weights.setter
+    @torch.no_grad()
+    def weights(self, weights: dict[str, Tensor]) -> None:
+        for name, p in self._parameters.items():
+            p.copy_(weights[name])
+
+    def way(self, observations: Tensor, change: float) -> dict[str, Tensor]:
+        """Return how to go against the gradient in the weights' ``grad``, which is cleared.
+
+        So far that mean actions on ``observations`` (m, d) change by ``change``, root mean square of their norm;
+        nowhere where there is no gradient.
+        """
+        gradient = _flat(torch.zeros_like(p) if p.grad is None else p.grad for p in self._parameters.values())
+        self._network.zero_grad()
+        weights = self.weights
+
+        def act(weights: dict[str, Tensor]) -> Tensor:
+            output: Tensor = functional_call(self._network, weights, observations)
+            return output[:, : self._actions]
+
+        back = cast(Callable[[Tensor], tuple[dict[str, Tensor]]], vjp(act, weights)[1])
+
+        def metric(way: Tensor) -> Tensor:
+            changes: Tensor = jvp(act, (weights,), (self._shaped(way),))[1]
+            return _flat(back(changes / len(observations))[0].values()) + DAMPING * way
+
+        way = conjugate_gradients(metric, gradient, ITERATIONS)
+        size = float((way @ metric(way)).clamp(min=0.0).sqrt())
+        return self._shaped(way * (-change / size if size > 0.0 else 0.0))
+
+    def _shaped(self, flat: Tensor) -> dict[str, Tensor]:
+        """Cut a vector into tensors like the weights."""
+        parts = flat.split([p.numel() for p in self._parameters.values()])
+        return {name: part.view_as(p) for part, (name, p) in zip(parts, self._parameters.items(), strict=True)}
+
+    @torch.no_grad()
+    def move(self, way: dict[str, Tensor]) -> None:
+        """Change the weights, where they are."""
+        for name, p in self._parameters.items():
+            p.add_(way[name])
+
+
+def _flat(tensors: Iterable[Tensor]) -> Tensor:
+    return torch.cat([tensor.flatten() for tensor in tensors])
+
+
+def conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor, iterations: int) -> Tensor:
+    """Solve product(x) = right, for a symmetric positive definite product, as far as so many ``iterations`` come."""
+    x, residual = torch.zeros_like(right), right.clone()
+    direction, square = residual.clone(), residual @ residual
+    for _ in range(iterations):
+        if not float(square) > 0.0:
+            break
+        image = product(direction)
+        length = square / (direction @ image)
+        x, residual = x + length * direction, residual - length * image
+        direction, square = residual + (residual @ residual) / square * direction, residual @ residual
+    return x
