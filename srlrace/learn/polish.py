@@ -40,7 +40,8 @@ LAST = 0.5  # of the size of steps towards more room is left from then on
 SAMPLED = 1 / 250  # of the observations of all flights are kept: about one of each flight
 OBSERVATIONS = 4096  # of these make the metric of a step
 DAMPING = 1e-3  # added to the metric
-ITERATIONS = 12  # of conjugate gradients
+ITERATIONS = 12  # of conjugate gradients, at most
+SOLVED = 1e-12  # of the squared residual at first is none: float32 has no more to give
 WORSE, TOLERATED = 2.0, 0.005  # times the share of flights that fail, and so much more of all: that was a bad round
 
 logger = logging.getLogger(__name__)
@@ -235,8 +236,9 @@ def conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor, iter
     """Solve product(x) = right, for a symmetric positive definite product, as far as so many ``iterations`` come."""
     x, residual = torch.zeros_like(right), right.clone()
     direction, square = residual.clone(), residual @ residual
+    solved = SOLVED * float(square)
     for _ in range(iterations):
-        if not float(square) > 0.0:
+        if not float(square) > solved:
             break
         image = product(direction)
         length = square / (direction @ image)
