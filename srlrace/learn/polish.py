@@ -76,10 +76,8 @@ class Polish:
         self._rounds = curriculum.polish_rounds
         self._looks = 0
         self._caution = 1.0  # how long steps towards less time are, as a share of what they were to be
-        self._best, self._failed = (
-            self._metric.weights,
-            1.0,
-        )  # of the best round: its weights, and the share that failed
+        self._best = self._metric.weights  # those after the round so far that left the fewest failures
+        self._failed = 1.0  # share of flights that failed then
 
     @property
     def finished(self) -> bool:
@@ -98,8 +96,10 @@ class Polish:
         if not (looks in range(self._rounds + 2) and 0.0 <= caution <= 1.0 and 0.0 <= failed <= 1.0):
             raise ValueError(f"polish has no such state: {looks} looks, {caution}, {failed}")
         best = {name: torch.from_numpy(np.array(arrays[f"best.{name}"])) for name in self._best}
-        if any(weight.shape != self._best[name].shape for name, weight in best.items()):
-            raise ValueError("the best weights of the polish have other shapes")
+        for name, weight in best.items():
+            like = self._best[name]
+            if (weight.shape, weight.dtype) != (like.shape, like.dtype) or not bool(torch.isfinite(weight).all()):
+                raise ValueError(f"the best weights of the polish: {name} has another shape or type, or is not finite")
         self._looks, self._caution, self._failed, self._best = int(looks), caution, failed, best
 
     def round(self) -> None:
@@ -112,7 +112,7 @@ class Polish:
             logger.info("polish: that was worse; back to the best round, with steps half as long")
             self._metric.weights, self._caution = self._best, 0.5 * self._caution
             look = self._look(rng)
-        if self._looks < self._rounds:
+        if self._looks < self._rounds and len(look.seen):
             self._take_steps(look, rng)
         self._looks += 1
 

@@ -206,7 +206,7 @@ def test_steps_get_shorter_and_a_bad_round_is_taken_back(monkeypatch: pytest.Mon
 
     def look(_: Any) -> Look:
         looks.append(round(float(bias[1].detach()) - at_first))
-        return Look(nothing, nothing, nothing[:, 0], np.zeros((0, 3), np.float32), 0.0, next(shares))
+        return Look(nothing, nothing, nothing[:, 0], np.zeros((1, 3), np.float32), 0.0, next(shares))
 
     def take_steps(*_: Any) -> None:
         changes.append(polish._caution)
@@ -275,6 +275,8 @@ def test_what_is_interrupted_ends_the_same(tmp_path: Path, monkeypatch: pytest.M
         ("caution", 2.0),
         ("failed", np.nan),
         ("best.1.bias", np.zeros(9, np.float32)),
+        ("best.1.bias", np.zeros(4)),
+        ("best.1.bias", np.full(4, np.nan, np.float32)),
     ],
 )
 def test_a_strangers_checkpoint_is_refused(name: str, value: Any) -> None:
@@ -298,6 +300,14 @@ def test_a_strangers_checkpoint_is_refused(name: str, value: Any) -> None:
 def test_what_cannot_be_polished_is_refused(overrides: tuple[str, ...], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         settings(*overrides)
+
+
+def test_a_single_flight_is_too_few_to_learn_from() -> None:
+    model, _ = learner("curriculum.polish_starts=1", "curriculum.polish_wanted=0", "curriculum.polish_inside=0")
+    polish = polish_of(model)
+    while not polish.finished:
+        polish.round()
+    assert np.isfinite(model.parameters).all()
 
 
 def test_drawn_starts_go_on_where_others_ended() -> None:
