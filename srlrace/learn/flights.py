@@ -7,6 +7,7 @@ less than 0, how narrowly it was missed.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import deque
 from collections.abc import Callable
@@ -140,9 +141,15 @@ class Flights(Race):
             measure_passing(self.fleet, rules, scratch, target, self._inside, self._slope)
 
 
-def drawn_starts(race: Race, n: int, first: int = 0) -> NDArray[Any]:
-    """Draw ``n`` starts (n, record size) of a training that none of its episodes has, from the ``first`` one on."""
+def drawn_starts(race: Race, n: int, first: int = 0, widened: bool = True) -> NDArray[Any]:
+    """Draw ``n`` starts (n, record size) of a training that none of its episodes has, from the ``first`` one on.
+
+    Unless they are ``widened``, from ranges as they are in evaluation.
+    """
     config = race.config
+    if not widened:
+        curriculum = dataclasses.replace(config.curriculum, start_margin=0.0, obstacle_margin=0.0)
+        config = dataclasses.replace(config, curriculum=curriculum)
     members = config.algo.n_envs + first + np.arange(n)
     mode = RaceMode(config.seed, members, autoreset=False, curriculum=True)
     drawn = Race(config, mode, race.field)

@@ -141,7 +141,7 @@ class Polish:
         """Fly whole flights from starts that no other round has, and from known hard ones."""
         wanted = self._race.config.curriculum.polish_wanted
         n = self._race.config.curriculum.polish_starts
-        starts = drawn = at_first_target(drawn_starts(self._race, n, self._looks * n))
+        starts = drawn = at_first_target(drawn_starts(self._race, n, self._looks * n, widened=False))
         if self._known is not None:
             starts = np.vstack([self._known, drawn])
         seen: list[NDArray[np.float32]] = []

@@ -313,3 +313,10 @@ def test_a_single_flight_is_too_few_to_learn_from() -> None:
 def test_drawn_starts_go_on_where_others_ended() -> None:
     race = Race(settings(), RaceMode.training(0, 16))
     np.testing.assert_array_equal(drawn_starts(race, 6)[4:], drawn_starts(race, 2, 4))
+
+
+def test_a_look_flies_from_the_ranges_of_the_evaluation() -> None:
+    race = Race(settings("curriculum.start_margin=0.5"), RaceMode.training(0, 16))
+    for widened, far in ((True, 1.4), (False, 1.0)):
+        spread = np.abs(drawn_starts(race, 2000, widened=widened)[:, :2] - race.rules.start[:2]).max()
+        assert far - 0.1 < spread < far + 0.1
