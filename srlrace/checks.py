@@ -169,8 +169,8 @@ def memory_estimate(config: Config) -> dict[str, int]:
         "level.maps": maps * per_map,
         "curriculum.room_starts": starts * (per_drone + 8 * (size + width)),
         "curriculum.polish_starts": polished * (per_drone + 8 * (size + width)),
-        "curriculum.room_time": int(ahead * 128 * derivatives),
-        "env.horizon": int(whole * 64 * derivatives),
+        "curriculum.room_time": int(ahead * 128 * derivatives),  # 128 flights at once
+        "env.horizon": int(whole * 64 * derivatives),  # 64 polished flights at once
     }
 
 

@@ -86,6 +86,17 @@ class FlightGradient:
         before[:, :SEEN] += np.einsum("nid,nd->ni", passage.seen, cast(torch.Tensor, passage.observation.grad).numpy())
         return before
 
+    def _go_back_from(self, passages: list[Passage], step: NDArray[np.int64], gain: Floats) -> None:
+        """Add the gradient of a mean over flights that falls by ``gain`` (n, 3) with the places after ``step`` (n,).
+
+        A flight whose step is less than 0 does not count.
+        """
+        pull = np.zeros((self.n, STATE_SIZE))  # the gradient with respect to the state after a step
+        for k in range(len(passages) - 1, -1, -1):
+            here = step == k
+            pull[here, :3] -= gain[here] / self.n
+            pull = self._go_back(passages[k], pull)
+
 
 class RoomGradient(FlightGradient):
     """Adds the gradient of what flights lack in room to the ``grad`` of a policy's parameters."""
@@ -118,11 +129,7 @@ class RoomGradient(FlightGradient):
         slopes = self._slopes(records, np.stack(places)[closest, one])
         at_waypoint = (np.array(inside) < np.array(gaps))[closest, one]
         slopes[at_waypoint] = np.stack(inwards)[closest, one][at_waypoint]
-        pull = np.zeros((n, STATE_SIZE))  # the gradient with respect to the state after a step
-        for step in range(self._steps - 1, -1, -1):
-            here = counted & (closest == step)
-            pull[here, :3] -= slopes[here] / n
-            pull = self._go_back(passages[step], pull)
+        self._go_back_from(passages, np.where(counted, closest, -1), slopes)
         return room
 
     def _slopes(self, records: NDArray[Any], place: Floats) -> Floats:
@@ -160,9 +167,5 @@ class TimeGradient(FlightGradient):
             end[new] = len(passages) - 1
             gain[new] = velocity / np.maximum((velocity**2).sum(1, keepdims=True), SLOWEST**2)
         counted = (end >= 0) & ~crashed
-        pull = np.zeros((n, STATE_SIZE))
-        for step in range(len(passages) - 1, -1, -1):
-            here = counted & (end == step)
-            pull[here, :3] -= gain[here] / n
-            pull = self._go_back(passages[step], pull)
+        self._go_back_from(passages, np.where(counted, end, -1), gain)
         return counted

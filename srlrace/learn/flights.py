@@ -24,6 +24,9 @@ from srlrace.task.step import sense, try_passing
 
 OVER = 1e3  # m, the room of a flight that has finished
 SLOW = 1.5  # times what half of the flights take to the finish: whole flights that take longer are cut short
+AFTER = 3  # control periods for which flights from close places go on after they have come closest
+HOPELESS = 0.25  # m: places from where a flight gets deeper than this into something are no close places
+COUNTED = 0.2  # m: nor does a flight from one count that gets so deep
 MISSED = 0.3  # m; who passes a waypoint's sphere at a greater distance is not on the way into it
 
 Floats = NDArray[np.float64]
@@ -93,6 +96,10 @@ class Flights(Race):
         super().__init__(race.config, mode, race.field, dtype=np.float64)
         self._ease = ease
         self._inside, self._slope = np.full(n, OVER), np.zeros((n, 3))
+
+    def others(self, n: int) -> Flights:
+        """Return so many flights like these."""
+        return Flights(self, n, self._ease)
 
     def begin(self, records: NDArray[Any]) -> None:
         """Put all drones where their records (n, record size + 1) say."""
@@ -203,3 +210,18 @@ def before_closest(
         if flights.finished.mean() >= 0.5:
             last = min(last, round(SLOW * step))
     return room, found
+
+
+def close_places(
+    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float, watch: Watch = lambda *_: None
+) -> tuple[Floats, Floats, Floats]:
+    """Fly a policy from ``starts``, and find the places from which it has less than ``enough`` room, but is not lost.
+
+    Returns the least room (n,) of all flights, m, the places (k, record size + 1), from which flights of so many
+    ``steps`` lead past where they come closest, and the least room (k,) of these.
+    """
+    room, places = before_closest(flights, act, starts, max(steps - AFTER, 0), watch)
+    places = places[room < enough]
+    left = least_room(flights.others(len(places)), act, places, steps)
+    kept = (left < enough) & (left > -HOPELESS)
+    return room, places[kept], left[kept]

@@ -23,17 +23,14 @@ from torch.func import functional_call, jvp, vjp
 
 from srlrace.bound.escapes import Escapes
 from srlrace.learn.flight_gradient import RoomGradient, TimeGradient
-from srlrace.learn.flights import Act, Flights, Floats, at_first_target, before_closest, drawn_starts, least_room
+from srlrace.learn.flights import COUNTED, Act, Flights, Floats, at_first_target, close_places, drawn_starts
 from srlrace.task.race import Race
 
 # All ours.
 STEPS = 20  # of a round
 CLOSE_FLIGHTS, TIMED_FLIGHTS = 128, 64  # whose gradients make a step
 AHEAD = 1.2  # s of a flight up to where it comes closest
-AFTER = 3  # control periods for which these go on after that
 NEARLY = 0.01  # m: places with up to so much more room than is wanted are flown, too, though less often
-HOPELESS = 0.25  # m: those from where a flight gets deeper than this into something are not
-COUNTED = 0.2  # m: nor do they count
 SLOWER = 1.1  # times the mean time of a flight: those that take longer do not count for the time
 TIMED = 0.8  # share of the rounds after which there are no steps towards less time, reached linearly
 LAST = 0.5  # of the size of steps towards more room is left from then on
@@ -70,7 +67,7 @@ class Polish:
         self._race, self._policy, self._act = race, policy, act
         self._known = at_first_target(escapes.start) if escapes else None
         self._metric = ActionMetric(policy)
-        self._ahead = max(round(AHEAD / race.config.sim.control_period), AFTER)
+        self._ahead = max(round(AHEAD / race.config.sim.control_period), 1)
         curriculum = race.config.curriculum
         self._ease = curriculum.polish_wanted - curriculum.polish_inside
         self._rounds = curriculum.polish_rounds
@@ -153,10 +150,7 @@ class Polish:
             steps += int(flying.sum())
 
         flights = Flights(self._race, len(starts), self._ease)
-        room, places = before_closest(flights, self._act, starts, self._ahead - AFTER, watch)
-        close = places[room < wanted + NEARLY]
-        left = least_room(Flights(self._race, len(close), self._ease), self._act, close, self._ahead)
-        flown = (left < wanted + NEARLY) & (left > -HOPELESS)
+        room, places, left = close_places(flights, self._act, starts, self._ahead, wanted + NEARLY, watch)
         steps_each = steps / len(starts)
         logger.info(
             "polish %d/%d: %d flights of %.2f s on average, %d of them closer than wanted, %d fail",
@@ -165,8 +159,8 @@ class Polish:
         )  # fmt: skip
         return Look(
             starts=drawn,
-            places=close[flown],
-            lack=np.maximum(wanted - left[flown], 0.0),
+            places=places,
+            lack=np.maximum(wanted - left, 0.0),
             seen=np.concatenate(seen),
             steps=steps_each,
             failed=float((room < 0.0).mean()),

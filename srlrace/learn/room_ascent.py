@@ -17,15 +17,12 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from srlrace.bound.escapes import Escapes
 from srlrace.learn.flight_gradient import RoomGradient
-from srlrace.learn.flights import Act, Flights, at_first_target, before_closest, drawn_starts, least_room
+from srlrace.learn.flights import COUNTED, Act, Flights, at_first_target, close_places, drawn_starts
 from srlrace.task.race import Race
 
 # All ours.
 FLIGHTS = 128  # whose gradient makes a step
-AFTER = 3  # control periods for which these go on after they have come closest
 NEARLY = 0.02  # m: places with up to so much more room than is wanted are flown, too
-HOPELESS = 0.25  # m: those from where a flight gets deeper than this into something are not
-COUNTED = 0.2  # m: nor do they count
 LOOK_EVERY = 50  # steps from one look at whole flights to the next
 FINAL_RATE = 0.1  # of the step size at first, at the end
 MAX_NORM = 0.2  # of a gradient; longer ones are made so short
@@ -70,10 +67,7 @@ class RoomAscent:
     def _look(self) -> None:
         """Find the places from which the policy has little room, but is not lost."""
         enough = self._curriculum.room_wanted + NEARLY
-        room, places = before_closest(self._all, self._act, self._starts, max(self._ahead - AFTER, 0))
-        places = places[room < enough]
-        room = least_room(Flights(self._race, len(places)), self._act, places, self._ahead)
-        self.hard = places[(room < enough) & (room > -HOPELESS)]
+        _, self.hard, _ = close_places(self._all, self._act, self._starts, self._ahead, enough)
 
     def _step(self, rate: float, rng: np.random.Generator) -> None:
         chosen = rng.choice(len(self.hard), FLIGHTS, replace=len(self.hard) < FLIGHTS)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 
@@ -137,15 +136,10 @@ class Training:
                     polish.round()
                 with self._request.deferred():
                     check_update(self.model)
-                    self._newest = Checkpoint(self.model.num_timesteps, self._capture(), {})
-                    if time.monotonic() - self._saved >= SAVE_EVERY:
-                        self._save()
+                    self._keep_state()
         except Interrupted:
             self._save()
             raise
-
-    def _capture(self) -> dict[str, NDArray[Any]]:
-        return capture(self.model, self.env, self._average)
 
     def between_rollouts(self, final: bool = False) -> None:
         """Everything that happens when one rollout has been learned from and the next has not begun."""
@@ -156,9 +150,7 @@ class Training:
             self._extend_average()
             self._report(final)
             self._keep_snapshot(steps)
-            self._newest = Checkpoint(steps, self._capture(), {})
-            if final or time.monotonic() - self._saved >= SAVE_EVERY:
-                self._save()
+            self._keep_state(save=final)
         self.env.race.set_progress(steps / self.config.algo.total_steps)
         self.env.race.refresh(steps)
         if isinstance(self.model, LeanPPO):
@@ -204,6 +196,13 @@ class Training:
         with naming(self.folder.path):
             write_scalars(self._board, row)
         self._display.show(row)
+
+    def _keep_state(self, save: bool = False) -> None:
+        """Take the state of this boundary, and put it on disk where that is asked for or due."""
+        arrays = capture(self.model, self.env, self._average)
+        self._newest = Checkpoint(self.model.num_timesteps, arrays, {})
+        if save or time.monotonic() - self._saved >= SAVE_EVERY:
+            self._save()
 
     def _save(self) -> None:
         """Put the state of the last boundary on disk, if it is not there yet."""

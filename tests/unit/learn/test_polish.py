@@ -134,9 +134,8 @@ def test_the_gradient_of_time_is_that_of_whole_flights() -> None:
             time[new] = ((step + 1) * rules.dt - since)[new]
         return float(time.mean())
 
-    check_gradient(
-        model, mean_time, 3e-3, 0.1
-    )  # the gradient is that of where a drone is after the step, a little later
+    # The gradient is that of where a drone is after the step, a little later.
+    check_gradient(model, mean_time, 3e-3, 0.1)
 
 
 def test_flights_that_crash_or_are_late_do_not_count_for_the_time() -> None:

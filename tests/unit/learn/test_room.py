@@ -16,10 +16,10 @@ from srlrace.config import ConfigError
 from srlrace.hydra_bridge import compose
 from srlrace.learn import train as training
 from srlrace.learn.flight_gradient import RoomGradient
-from srlrace.learn.flights import OVER, Flights, before_closest, drawn_starts, least_room
+from srlrace.learn.flights import HOPELESS, OVER, Flights, at_first_target, before_closest, drawn_starts, least_room
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.ppo import build_ppo, capture, reinstate
-from srlrace.learn.room_ascent import HOPELESS, NEARLY, RoomAscent
+from srlrace.learn.room_ascent import NEARLY, RoomAscent
 from srlrace.learn.tensors import TensorFileError
 from srlrace.learn.train import train
 from srlrace.task.race import Race, RaceMode
@@ -44,10 +44,6 @@ def learner(*overrides: str) -> tuple[LeanPPO, RaceVecEnv]:
 def ascent_of(model: LeanPPO) -> RoomAscent:
     assert model.room_ascent is not None
     return model.room_ascent
-
-
-def at_first_target(starts: NDArray[Any]) -> NDArray[Any]:
-    return np.pad(starts, ((0, 0), (0, 1)))
 
 
 def known_starts(race: Race) -> NDArray[Any]:
