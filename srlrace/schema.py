@@ -278,13 +278,18 @@ class CurriculumConfig:
         low=0, high=10_000, default=0,
     )  # fmt: skip
     polish_starts: int = setting("whole flights that each round looks at first", low=1, high=1_000_000, default=20_000)
+    polish_beginnings: int = setting(
+        "and the beginnings of so many others, for starts that are dangerous themselves",
+        low=0, high=10_000_000, default=0,
+    )  # fmt: skip
     polish_time: float = setting(
         "how much a step towards less time changes actions at first, root mean square of their norm; in the last "
-        "fifth there is none",
+        "third there is none",
         low=0.0, high=1.0, default=0.001,
     )  # fmt: skip
     polish_room: float = setting(
-        "how much a step towards more room changes actions, root mean square of their norm",
+        "how much a step towards more room changes actions, root mean square of their norm; in the last third it "
+        "becomes less",
         low=0.0, high=1.0, default=0.003,
     )  # fmt: skip
     polish_wanted: float = setting(

@@ -23,6 +23,7 @@ from srlrace.task.reset import put_records, records
 from srlrace.task.step import sense, try_passing
 
 OVER = 1e3  # m, the room of a flight that has finished
+FREE = 0.5  # m: who has more room than this at first is not in danger because of where he starts
 SLOW = 1.5  # times what half of the flights take to the finish: whole flights that take longer are cut short
 AFTER = 3  # control periods for which flights from close places go on after they have come closest
 HOPELESS = 0.25  # m: places from where a flight gets deeper than this into something are no close places
@@ -223,5 +224,26 @@ def close_places(
     room, places = before_closest(flights, act, starts, max(steps - AFTER, 0), watch)
     places = places[room < enough]
     left = least_room(flights.others(len(places)), act, places, steps)
-    kept = (left < enough) & (left > -HOPELESS)
+    kept = _worth_flying(left, enough)
     return room, places[kept], left[kept]
+
+
+def close_starts(
+    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float
+) -> tuple[NDArray[Any], Floats]:
+    """Fly so many ``steps`` from ``starts``, and find those that are dangerous themselves, but not lost.
+
+    These have little room at once, and less than ``enough`` in one of the steps: (k, record size + 1). Returns the
+    least room (k,) of each, m, too.
+    """
+    everywhere = flights.others(len(starts))
+    everywhere.begin(starts)
+    starts = starts[everywhere.clearance() < FREE]
+    room = least_room(flights.others(len(starts)), act, starts, steps)
+    kept = _worth_flying(room, enough)
+    return starts[kept], room[kept]
+
+
+def _worth_flying(room: Floats, enough: float) -> NDArray[np.bool_]:
+    """Which flights with so much ``room`` (n,), m, come too close, but are not lost."""
+    return (room < enough) & (room > -HOPELESS)

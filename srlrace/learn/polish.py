@@ -11,7 +11,7 @@ docs/training.md says what it brings.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -23,17 +23,29 @@ from torch.func import functional_call, jvp, vjp
 
 from srlrace.bound.escapes import Escapes
 from srlrace.learn.flight_gradient import RoomGradient, TimeGradient
-from srlrace.learn.flights import COUNTED, Act, Flights, Floats, at_first_target, close_places, drawn_starts
+from srlrace.learn.flights import (
+    COUNTED,
+    Act,
+    Flights,
+    Floats,
+    at_first_target,
+    close_places,
+    close_starts,
+    drawn_starts,
+)
 from srlrace.task.race import Race
 
 # All ours.
 STEPS = 20  # of a round
 CLOSE_FLIGHTS, TIMED_FLIGHTS = 128, 64  # whose gradients make a step
 AHEAD = 1.2  # s of a flight up to where it comes closest
+BEGINNING = 0.6  # s of a flight
+AT_ONCE = 20_000  # beginnings
 NEARLY = 0.01  # m: places with up to so much more room than is wanted are flown, too, though less often
+DEEP = 0.02  # m: who gets deeper into something is not flown more often for it
 SLOWER = 1.1  # times the mean time of a flight: those that take longer do not count for the time
-TIMED = 0.8  # share of the rounds after which there are no steps towards less time, reached linearly
-LAST = 0.5  # of the size of steps towards more room is left from then on
+TIMED = 0.65  # share of the rounds after which there are no steps towards less time, reached linearly
+LAST = 0.15  # of the size of steps towards more room is left at the end, reached linearly from then on
 SAMPLED = 1 / 250  # of the observations of all flights are kept: about one of each flight
 OBSERVATIONS = 4096  # of these make the metric of a step
 DAMPING = 1e-3  # added to the metric
@@ -48,7 +60,7 @@ class Look(NamedTuple):
     """What whole flights show."""
 
     starts: NDArray[Any]  # (n, record size + 1): where they began, known hard starts excepted
-    places: NDArray[Any]  # (k, record size + 1): not long before some of them come close to something
+    places: NDArray[Any]  # (k, record size + 1): not long before some of them come close to something, or hard starts
     lack: Floats  # (k,) m, of what is wanted there
     seen: NDArray[np.float32]  # (m, d): observations from anywhere
     steps: float  # that a flight takes
@@ -117,10 +129,11 @@ class Polish:
         curriculum = self._race.config.curriculum
         share = self._looks / self._rounds
         time_change = self._caution * curriculum.polish_time * max(1.0 - share / TIMED, 0.0)
-        room_change = curriculum.polish_room * (1.0 if share < TIMED else LAST)
+        room_change = curriculum.polish_room * (1.0 - (1.0 - LAST) * max(share - TIMED, 0.0) / (1.0 - TIMED))
         room_of = RoomGradient(self._race, self._policy, CLOSE_FLIGHTS, self._ahead, self._ease)
         time_of = TimeGradient(self._race, self._policy, TIMED_FLIGHTS, round(SLOWER * look.steps))
-        often = look.lack + 1e-4  # m: the more often the more is lacking, but others as well
+        # m: the more often the more is lacking, but others as well
+        often = np.minimum(look.lack, curriculum.polish_wanted + DEEP) + 1e-4
         for _ in range(STEPS):
             observations = torch.from_numpy(look.seen[rng.permutation(len(look.seen))[:OBSERVATIONS]])
             ways = []
@@ -151,11 +164,14 @@ class Polish:
 
         flights = Flights(self._race, len(starts), self._ease)
         room, places, left = close_places(flights, self._act, starts, self._ahead, wanted + NEARLY, watch)
+        hard = list(self._hard_starts(flights, wanted + NEARLY))
+        places = np.vstack([places, *(there for there, _ in hard)])
+        left = np.concatenate([left, *(room for _, room in hard)])
         steps_each = steps / len(starts)
         logger.info(
-            "polish %d/%d: %d flights of %.2f s on average, %d of them closer than wanted, %d fail",
+            "polish %d/%d: %d flights of %.2f s on average, %d of them closer than wanted, %d fail; %d hard starts",
             self._looks, self._rounds, len(starts), steps_each * self._race.rules.dt,
-            int((room < wanted).sum()), int((room < 0.0).sum()),
+            int((room < wanted).sum()), int((room < 0.0).sum()), sum(len(there) for there, _ in hard),
         )  # fmt: skip
         return Look(
             starts=drawn,
@@ -165,6 +181,16 @@ class Polish:
             steps=steps_each,
             failed=float((room < 0.0).mean()),
         )
+
+    def _hard_starts(self, flights: Flights, enough: float) -> Iterator[tuple[NDArray[Any], Floats]]:
+        """Fly the beginnings of flights from yet other starts; yields those that come close at once, and their room."""
+        curriculum = self._race.config.curriculum
+        first = (self._rounds + 1) * curriculum.polish_starts + self._looks * curriculum.polish_beginnings
+        end = first + curriculum.polish_beginnings
+        steps = round(BEGINNING / self._race.config.sim.control_period)
+        for begin in range(first, end, AT_ONCE):
+            drawn = drawn_starts(self._race, min(AT_ONCE, end - begin), begin, widened=False)
+            yield close_starts(flights, self._act, at_first_target(drawn), steps, enough)
 
 
 class ActionMetric:

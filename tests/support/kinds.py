@@ -44,6 +44,7 @@ KINDS = {
         "curriculum.room_starts=500",
         "curriculum.polish_rounds=2",
         "curriculum.polish_starts=200",
+        "curriculum.polish_beginnings=400",
         "env.horizon=1",
     ),
     "std_by_state": ("level=1", "algo.state_dependent_std=true", "env.horizon=1"),

@@ -15,10 +15,10 @@ from srlrace.hydra_bridge import compose
 from srlrace.learn import polish as polishing
 from srlrace.learn import train as training
 from srlrace.learn.flight_gradient import RoomGradient, TimeGradient
-from srlrace.learn.flights import MISSED, OVER, Flights, at_first_target, drawn_starts, least_room
+from srlrace.learn.flights import FREE, HOPELESS, MISSED, OVER, Flights, at_first_target, drawn_starts, least_room
 from srlrace.learn.lean_ppo import LeanPPO
 from srlrace.learn.policy import mean_action
-from srlrace.learn.polish import DAMPING, ActionMetric, Look, Polish, conjugate_gradients
+from srlrace.learn.polish import DAMPING, NEARLY, ActionMetric, Look, Polish, conjugate_gradients
 from srlrace.learn.ppo import build_ppo, capture, reinstate
 from srlrace.learn.tensors import TensorFileError
 from srlrace.learn.train import train
@@ -237,6 +237,46 @@ def test_a_round_looks_at_flights_that_no_other_has(monkeypatch: pytest.MonkeyPa
     assert first.steps > 5.0
     room = least_room(Flights(env.race, len(first.places), 0.02), model.mean_action, first.places, 60)
     np.testing.assert_allclose(np.maximum(0.04 - room, 0.0), first.lack, atol=1e-9)
+
+
+def test_a_round_finds_hard_starts_among_more_beginnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(polishing, "AT_ONCE", 1000)
+    plain, env = learner("curriculum.polish_wanted=0.1")
+    model, _ = learner("curriculum.polish_wanted=0.1", "curriculum.polish_beginnings=2500")
+    without, look = (polish_of(one)._look(np.random.default_rng(0)) for one in (plain, model))
+    whole = len(without.places)
+    np.testing.assert_array_equal(look.places[:whole], without.places)
+    hard, lack = look.places[whole:], look.lack[whole:]
+    drawn = at_first_target(drawn_starts(env.race, 2500, 4 * 300, widened=False))
+    flights = Flights(env.race, 2500, 0.08)
+    flights.begin(drawn)
+    dangerous = flights.clearance() < FREE
+    room = least_room(flights, plain.mean_action, drawn, 30)
+    dangerous &= (room < 0.1 + NEARLY) & (room > -HOPELESS)
+    assert 0 < dangerous.sum() < 2500
+    np.testing.assert_array_equal(hard, drawn[dangerous])
+    np.testing.assert_allclose(lack, np.maximum(0.1 - room[dangerous], 0.0), atol=1e-9)
+
+
+def test_no_start_is_looked_at_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, _ = learner("curriculum.polish_beginnings=500", "curriculum.polish_rounds=2")
+    polish, flown = polish_of(model), []
+    monkeypatch.setattr(polish, "_take_steps", lambda look, rng: None)
+
+    def watched(real: Any) -> Any:
+        def fly(flights: Flights, act: Any, starts: Any, *rest: Any) -> Any:
+            flown.append(starts)
+            return real(flights, act, starts, *rest)
+
+        return fly
+
+    for name in ("close_places", "close_starts"):
+        monkeypatch.setattr(polishing, name, watched(getattr(polishing, name)))
+    while not polish.finished:
+        polish.round()
+    starts = np.vstack(flown)
+    assert len(starts) == 3 * (300 + 500)
+    assert len(np.unique(starts[:, :2], axis=0)) == len(starts)
 
 
 def test_what_is_interrupted_ends_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
