@@ -31,9 +31,10 @@ def check(config: Config) -> None:
     _check_batch(config)
     _check_learning_rate(config.algo)
     _check_curriculum(config.curriculum)
-    if config.curriculum.waypoint_margin >= config.env.passing_radius:
-        margin, radius = config.curriculum.waypoint_margin, config.env.passing_radius
-        raise ConfigError(f"curriculum.waypoint_margin: got {margin:g}; takes less than env.passing_radius, {radius:g}")
+    for name in ("waypoint_margin", "polish_inside"):
+        value, radius = getattr(config.curriculum, name), config.env.passing_radius
+        if value >= radius:
+            raise ConfigError(f"curriculum.{name}: got {value:g}; takes less than env.passing_radius, {radius:g}")
     if config.curriculum.teaching > 0.0:
         check_single_map(config, "curriculum.teaching")
     for name in ("room_rate", "polish_rounds"):

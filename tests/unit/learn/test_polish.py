@@ -334,6 +334,7 @@ def test_a_strangers_checkpoint_is_refused(name: str, value: Any) -> None:
         (("level=mixed", "level.fresh_steps=1000"), r"polish_rounds: takes 0 with level\.fresh_steps"),
         (("algo.averaged=0.2",), r"polish_rounds: takes 0 with algo\.averaged"),
         (("curriculum.polish_wanted=-1",), r"polish_wanted"),
+        (("curriculum.polish_inside=0.3",), r"polish_inside: got 0\.3; takes less than env\.passing_radius, 0\.3"),
     ],
 )
 def test_what_cannot_be_polished_is_refused(overrides: tuple[str, ...], message: str) -> None:
