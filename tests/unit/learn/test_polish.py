@@ -29,7 +29,7 @@ ROLLOUT = 16 * 32
 SMALL = [
     "env=forest", "algo.n_envs=16", "algo.n_steps=32", "algo.batch_size=256", "algo.n_epochs=1",
     "algo.policy_layers=[16,16]", "algo.value_layers=[16]", f"algo.total_steps={4 * ROLLOUT}", "env.horizon=2",
-    "curriculum.polish_rounds=3", "curriculum.polish_starts=300",
+    "curriculum.polish_rounds=3", "curriculum.polish_starts=300", "curriculum.polish_beginnings=0",
 ]  # fmt: skip
 
 
