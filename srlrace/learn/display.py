@@ -79,7 +79,8 @@ class Display:
         """Return the newest row in one line."""
         row = self._rows[-1]
         percent, millions = 100 * row["steps"] / self._total, row["steps"] / 1e6
-        return f"{self._folder.name}  {percent:3.0f}%  {millions:.2f} M steps  {figures_text(row)}  {self._left()} left"
+        left = f"{self._left()} left{self._then()}"
+        return f"{self._folder.name}  {percent:3.0f}%  {millions:.2f} M steps  {figures_text(row)}  {left}"
 
     def panel(self) -> Group:
         """Return the live picture: how far, how fast, which phase, and how each figure has developed."""
@@ -97,11 +98,17 @@ class Display:
             body.add_row(Text(label, style="dim"), shown, Text(trend([r.get(column) for r in self._rows]), style=style))
         speed = f"{sum(self._speeds) / len(self._speeds) / 1e3:.0f} k steps/s"
         phase = phase_text(self._config.curriculum, row["steps"] / self._total)
-        return Group(Text(self._folder.name, style="bold"), head, body, Text(f"{speed}; {phase}", style="dim"))
+        about = Text(f"{speed}; {phase}{self._then()}", style="dim")
+        return Group(Text(self._folder.name, style="bold"), head, body, about)
 
     def _left(self) -> str:
         speed = sum(self._speeds) / len(self._speeds)
         return duration((self._total - self._rows[-1]["steps"]) / speed) if speed > 0 else "?"
+
+    def _then(self) -> str:
+        """What follows on the last step."""
+        rounds = self._config.curriculum.polish_rounds
+        return f", then {rounds} rounds of polish" if rounds else ""
 
     def _say(self, text: str) -> None:
         """Log a line; on a terminal, where the panel says the same, to the file only."""

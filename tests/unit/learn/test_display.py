@@ -49,6 +49,16 @@ def test_the_panel_says_how_far_how_fast_and_how_well(hundred, tmp_path):
     assert max(map(len, panel.splitlines())) <= 80
 
 
+def test_what_comes_after_the_last_step_is_left_as_well(config, tmp_path, caplog):
+    caplog.set_level(logging.INFO, "srlrace")
+    whole = config("env=split_s", "curriculum=taught", "algo=taught_lap", "curriculum.polish_rounds=18")
+    total = whole.algo.total_steps
+    _, panel = show(whole, tmp_path, [row(total // 4, 1.0), row(total, 1000.0)], terminal=False)
+    assert caplog.messages[-1].endswith("  0:00 left, then 18 rounds of polish")
+    assert ", then 18 rounds of polish" in " ".join(panel.split())
+    assert max(map(len, panel.splitlines())) <= 80
+
+
 @pytest.mark.parametrize("terminal", [True, False])
 def test_the_log_is_dated_plain_and_appended_to(hundred, tmp_path, terminal, caplog):
     caplog.set_level(logging.INFO, "srlrace")
