@@ -299,6 +299,9 @@ class CurriculumConfig:
     polish_inside: float = setting(
         "and so far inside its sphere a waypoint is to be passed", unit="m", low=0.0, high=100.0, default=0.02
     )
+    polish_hopeless: float = setting(
+        "who gets deeper into an obstacle, or beyond a wall, is not helped", unit="m", low=0.0, high=100.0, default=0.25
+    )
 
 
 @dataclass(frozen=True)

@@ -214,36 +214,38 @@ def before_closest(
 
 
 def close_places(
-    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float, watch: Watch = lambda *_: None
+    flights: Flights,
+    act: Act,
+    starts: NDArray[Any],
+    steps: int,
+    enough: float,
+    hopeless: float = HOPELESS,
+    watch: Watch = lambda *_: None,
 ) -> tuple[Floats, Floats, Floats]:
     """Fly a policy from ``starts``, and find the places from which it has less than ``enough`` room, but is not lost.
 
     Returns the least room (n,) of all flights, m, the places (k, record size + 1), from which flights of so many
-    ``steps`` lead past where they come closest, and the least room (k,) of these.
+    ``steps`` lead past where they come closest, and the least room (k,) of these. A flight is lost that gets deeper
+    than ``hopeless``, m.
     """
     room, places = before_closest(flights, act, starts, max(steps - AFTER, 0), watch)
     places = places[room < enough]
     left = least_room(flights.others(len(places)), act, places, steps)
-    kept = _worth_flying(left, enough)
+    kept = (left < enough) & (left > -hopeless)
     return room, places[kept], left[kept]
 
 
 def close_starts(
-    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float
+    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float, hopeless: float = HOPELESS
 ) -> tuple[NDArray[Any], Floats]:
     """Fly so many ``steps`` from ``starts``, and find those that are dangerous themselves, but not lost.
 
     These have little room at once, and less than ``enough`` in one of the steps: (k, record size + 1). Returns the
-    least room (k,) of each, m, too.
+    least room (k,) of each, m, too. Lost is who gets deeper than ``hopeless``, m.
     """
     everywhere = flights.others(len(starts))
     everywhere.begin(starts)
     starts = starts[everywhere.clearance() < FREE]
     room = least_room(flights.others(len(starts)), act, starts, steps)
-    kept = _worth_flying(room, enough)
+    kept = (room < enough) & (room > -hopeless)
     return starts[kept], room[kept]
-
-
-def _worth_flying(room: Floats, enough: float) -> NDArray[np.bool_]:
-    """Which flights with so much ``room`` (n,), m, come too close, but are not lost."""
-    return (room < enough) & (room > -HOPELESS)

@@ -23,16 +23,7 @@ from torch.func import functional_call, jvp, vjp
 
 from srlrace.bound.escapes import Escapes
 from srlrace.learn.flight_gradient import RoomGradient, TimeGradient
-from srlrace.learn.flights import (
-    COUNTED,
-    Act,
-    Flights,
-    Floats,
-    at_first_target,
-    close_places,
-    close_starts,
-    drawn_starts,
-)
+from srlrace.learn.flights import Act, Flights, Floats, at_first_target, close_places, close_starts, drawn_starts
 from srlrace.task.race import Race
 
 # All ours.
@@ -41,6 +32,7 @@ CLOSE_FLIGHTS, TIMED_FLIGHTS = 128, 64  # whose gradients make a step
 AHEAD = 1.2  # s of a flight up to where it comes closest
 BEGINNING = 0.6  # s of a flight
 AT_ONCE = 20_000  # beginnings
+NOT_LOST = 0.8  # times the depth that is hopeless: who gets deeper than that in a step's flights does not count
 NEARLY = 0.01  # m: places with up to so much more room than is wanted are flown, too, though less often
 DEEP = 0.02  # m: who gets deeper into something is not flown more often for it
 SLOWER = 1.1  # times the mean time of a flight: those that take longer do not count for the time
@@ -142,15 +134,15 @@ class Polish:
                 ways.append(self._metric.way(observations, time_change))
             if room_change > 0.0 and len(look.places):
                 close = rng.choice(len(look.places), CLOSE_FLIGHTS, p=often / often.sum())
-                room_of(look.places[close], curriculum.polish_wanted, -COUNTED)
+                room_of(look.places[close], curriculum.polish_wanted, -NOT_LOST * curriculum.polish_hopeless)
                 ways.append(self._metric.way(observations, room_change))
             for way in ways:
                 self._metric.move(way)
 
     def _look(self, rng: np.random.Generator) -> Look:
         """Fly whole flights from starts that no other round has, and from known hard ones."""
-        wanted = self._race.config.curriculum.polish_wanted
-        n = self._race.config.curriculum.polish_starts
+        curriculum = self._race.config.curriculum
+        n, wanted, hopeless = curriculum.polish_starts, curriculum.polish_wanted, curriculum.polish_hopeless
         starts = drawn = at_first_target(drawn_starts(self._race, n, self._looks * n, widened=False))
         if self._known is not None:
             starts = np.vstack([self._known, drawn])
@@ -163,8 +155,8 @@ class Polish:
             steps += int(flying.sum())
 
         flights = Flights(self._race, len(starts), self._ease)
-        room, places, left = close_places(flights, self._act, starts, self._ahead, wanted + NEARLY, watch)
-        hard = list(self._hard_starts(flights, wanted + NEARLY))
+        room, places, left = close_places(flights, self._act, starts, self._ahead, wanted + NEARLY, hopeless, watch)
+        hard = list(self._hard_starts(flights, wanted + NEARLY, hopeless))
         places = np.vstack([places, *(there for there, _ in hard)])
         left = np.concatenate([left, *(room for _, room in hard)])
         steps_each = steps / len(starts)
@@ -182,7 +174,7 @@ class Polish:
             failed=float((room < 0.0).mean()),
         )
 
-    def _hard_starts(self, flights: Flights, enough: float) -> Iterator[tuple[NDArray[Any], Floats]]:
+    def _hard_starts(self, flights: Flights, enough: float, hopeless: float) -> Iterator[tuple[NDArray[Any], Floats]]:
         """Fly the beginnings of flights from yet other starts; yields those that come close at once, and their room."""
         curriculum = self._race.config.curriculum
         first = (self._rounds + 1) * curriculum.polish_starts + self._looks * curriculum.polish_beginnings
@@ -190,7 +182,7 @@ class Polish:
         steps = round(BEGINNING / self._race.config.sim.control_period)
         for begin in range(first, end, AT_ONCE):
             drawn = drawn_starts(self._race, min(AT_ONCE, end - begin), begin, widened=False)
-            yield close_starts(flights, self._act, at_first_target(drawn), steps, enough)
+            yield close_starts(flights, self._act, at_first_target(drawn), steps, enough, hopeless)
 
 
 class ActionMetric:

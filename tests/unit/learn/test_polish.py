@@ -258,6 +258,26 @@ def test_a_round_finds_hard_starts_among_more_beginnings(monkeypatch: pytest.Mon
     np.testing.assert_allclose(lack, np.maximum(0.1 - room[dangerous], 0.0), atol=1e-9)
 
 
+def test_who_is_not_hopeless_is_helped(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks, counted = [], []
+    call = RoomGradient.__call__
+
+    def watched(self: RoomGradient, records: NDArray[Any], wanted: float, hopeless: float) -> NDArray[np.float64]:
+        counted.append(-hopeless)
+        return call(self, records, wanted, hopeless)
+
+    monkeypatch.setattr(RoomGradient, "__call__", watched)
+    for depth in ("0.01", "5"):
+        model, _ = learner(f"curriculum.polish_hopeless={depth}", "curriculum.polish_time=0")
+        polish = polish_of(model)
+        looks.append(polish._look(np.random.default_rng(0)))
+        polish._take_steps(looks[-1], np.random.default_rng(0))
+    few, many = (look.lack for look in looks)
+    assert few.max() < 0.04 + 0.01 < 1.0 < many.max()
+    assert 0 < len(few) < len(many)
+    assert sorted(set(counted)) == pytest.approx([0.8 * 0.01, 0.8 * 5.0])
+
+
 def test_no_start_is_looked_at_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     model, _ = learner("curriculum.polish_beginnings=500", "curriculum.polish_rounds=2")
     polish, flown = polish_of(model), []
