@@ -236,7 +236,7 @@ def close_places(
 
 
 def close_starts(
-    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float, hopeless: float = HOPELESS
+    flights: Flights, act: Act, starts: NDArray[Any], steps: int, enough: float, hopeless: float
 ) -> tuple[NDArray[Any], Floats]:
     """Fly so many ``steps`` from ``starts``, and find those that are dangerous themselves, but not lost.
 
