@@ -1,4 +1,4 @@
-"""How long a sweep will take, from the runs that are finished already."""
+"""How long a sweep will take, from the runs that are finished already, or from published ones."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from srlrace.config import to_dict
-from srlrace.files import FileError, read_json
-from srlrace.runs import list_runs
+from srlrace.config import ConfigError, to_dict
+from srlrace.files import FileError
+from srlrace.runs import RunError, list_runs
 from srlrace.sweep.plan import Job
 
-STEPS_PER_S = 60_000.0  # ours: the slower of the published runs, on a core whose neighbours are busy, too
+STEPS_PER_S = 100_000.0  # ours, cautious: the published runs have 140,000 in the median, two at a time on two cores
 EPISODES_PER_S = 100.0  # ours: evaluation with a few recordings on such a core
 START_UP = 5.0  # s until a process has imported torch and loaded the kernels
 LOOKED_AT = 500  # runs that are read for their speed, at most
+PUBLISHED = "reference"  # folder among the runs, with those that came with the repository
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Pace:
 
     rates: dict[str, float]
     known: int  # finished runs behind it
+    published: int = 0  # published runs behind it; they count where none of these is alike
 
     def training(self, job: Job) -> float:
         """Seconds that the whole training of a job takes."""
@@ -42,9 +44,12 @@ class Pace:
     @property
     def source(self) -> str:
         """Where the figures come from, in words."""
-        if not self.known:
-            return f"assuming {STEPS_PER_S:,.0f} steps a second"
-        return f"from {self.known} finished run{'s' if self.known > 1 else ''}"
+        sources = []
+        if self.known:
+            sources.append(f"{self.known} finished run{'s' if self.known > 1 else ''}")
+        if self.published:
+            sources.append(f"{self.published} published run{'s' if self.published > 1 else ''}, of another machine")
+        return f"from {' and '.join(sources)}" if sources else f"assuming {STEPS_PER_S:,.0f} steps a second"
 
 
 def _kinds(settings: dict[str, Any]) -> tuple[str, ...]:
@@ -55,7 +60,14 @@ def _kinds(settings: dict[str, Any]) -> tuple[str, ...]:
 
 
 def read_pace(root: Path) -> Pace:
-    """Read how fast the finished runs below ``root`` were trained; what cannot be read is passed over."""
+    """Read how fast the finished runs below ``root``, and the published ones there, were trained."""
+    own, known = _read_rates(root)
+    others, published = _read_rates(root / PUBLISHED)
+    return Pace(others | own, known, published)
+
+
+def _read_rates(root: Path) -> tuple[dict[str, float], int]:
+    """Return steps per second by kind, and the number of runs behind it; what cannot be read is passed over."""
     found: dict[str, list[float]] = defaultdict(list)
     known = 0
     for run in list_runs(root)[:LOOKED_AT]:
@@ -64,13 +76,13 @@ def read_pace(root: Path) -> Pace:
         if not (isinstance(steps, int) and isinstance(wall, int | float) and wall > 0):
             continue
         try:
-            kinds = _kinds(read_json(run.path / "config.json"))
-        except (FileError, KeyError, TypeError, AttributeError):
+            config = run.load_config()
+        except (FileError, ConfigError, RunError):
             continue
         known += 1
-        for kind in kinds:
+        for kind in _kinds(to_dict(config)):
             found[kind].append(steps / wall)
-    return Pace({kind: statistics.median(rates) for kind, rates in found.items()}, known)
+    return {kind: statistics.median(rates) for kind, rates in found.items()}, known
 
 
 def together(seconds: Sequence[float], size: int) -> float:

@@ -45,6 +45,20 @@ def test_the_runs_most_alike_say_how_long_it_takes(tmp_path, config):
     assert pace.training(job(tmp_path, wide)) == pytest.approx(1e6 / ((rates[1] + rates[2]) / 2) + START_UP)
 
 
+def test_published_runs_say_how_long_it_takes_where_no_own_run_is_alike(tmp_path, config):
+    forest, split = (config("algo.total_steps=1000000", word) for word in ("env=forest", "env=split_s"))
+    finish(tmp_path / "reference", replace(forest, seed=1), 2_000_000, 20.0)
+    finish(tmp_path / "reference", replace(split, seed=1), 2_000_000, 200.0)
+    pace = read_pace(tmp_path)
+    assert pace.source == "from 2 published runs, of another machine"
+    assert pace.training(job(tmp_path, split)) == pytest.approx(1e6 / 10_000 + START_UP)
+    finish(tmp_path, replace(forest, seed=2), 2_000_000, 40.0)
+    pace = read_pace(tmp_path)
+    assert pace.source == "from 1 finished run and 2 published runs, of another machine"
+    assert pace.training(job(tmp_path, forest)) == pytest.approx(1e6 / 50_000 + START_UP)
+    assert pace.training(job(tmp_path, split)) == pytest.approx(1e6 / 10_000 + START_UP)
+
+
 def test_what_is_done_takes_no_more_time(tmp_path, config):
     begun = job(tmp_path, config("algo.total_steps=1000000"), train_map=1000)
     pace = Pace({"": 1e4}, 1)
