@@ -27,7 +27,7 @@ FREE = 0.5  # m: who has more room than this at first is not in danger because o
 SLOW = 1.5  # times what half of the flights take to the finish: whole flights that take longer are cut short
 AFTER = 3  # control periods for which flights from close places go on after they have come closest
 HOPELESS = 0.25  # m: places from where a flight gets deeper than this into something are no close places
-COUNTED = 0.2  # m: nor does a flight from one count that gets so deep
+NOT_LOST = 0.8  # times the depth that is hopeless: a flight from a close place that gets deeper does not count
 MISSED = 0.3  # m; who passes a waypoint's sphere at a greater distance is not on the way into it
 
 Floats = NDArray[np.float64]

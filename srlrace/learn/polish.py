@@ -23,7 +23,16 @@ from torch.func import functional_call, jvp, vjp
 
 from srlrace.bound.escapes import Escapes
 from srlrace.learn.flight_gradient import RoomGradient, TimeGradient
-from srlrace.learn.flights import Act, Flights, Floats, at_first_target, close_places, close_starts, drawn_starts
+from srlrace.learn.flights import (
+    NOT_LOST,
+    Act,
+    Flights,
+    Floats,
+    at_first_target,
+    close_places,
+    close_starts,
+    drawn_starts,
+)
 from srlrace.task.race import Race
 
 # All ours.
@@ -32,7 +41,6 @@ CLOSE_FLIGHTS, TIMED_FLIGHTS = 128, 64  # whose gradients make a step
 AHEAD = 1.2  # s of a flight up to where it comes closest
 BEGINNING = 0.6  # s of a flight
 AT_ONCE = 20_000  # beginnings
-NOT_LOST = 0.8  # times the depth that is hopeless: who gets deeper than that in a step's flights does not count
 NEARLY = 0.01  # m: places with up to so much more room than is wanted are flown, too, though less often
 DEEP = 0.02  # m: who gets deeper into something is not flown more often for it
 SLOWER = 1.1  # times the mean time of a flight: those that take longer do not count for the time

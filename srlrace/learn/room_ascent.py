@@ -17,7 +17,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from srlrace.bound.escapes import Escapes
 from srlrace.learn.flight_gradient import RoomGradient
-from srlrace.learn.flights import COUNTED, Act, Flights, at_first_target, close_places, drawn_starts
+from srlrace.learn.flights import HOPELESS, NOT_LOST, Act, Flights, at_first_target, close_places, drawn_starts
 from srlrace.task.race import Race
 
 # All ours.
@@ -72,7 +72,7 @@ class RoomAscent:
     def _step(self, rate: float, rng: np.random.Generator) -> None:
         chosen = rng.choice(len(self.hard), FLIGHTS, replace=len(self.hard) < FLIGHTS)
         self.optimizer.zero_grad()
-        self._gradient(self.hard[chosen], self._curriculum.room_wanted, -COUNTED)
+        self._gradient(self.hard[chosen], self._curriculum.room_wanted, -NOT_LOST * HOPELESS)
         torch.nn.utils.clip_grad_norm_(self._parameters, MAX_NORM)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
