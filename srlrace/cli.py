@@ -121,7 +121,7 @@ def evaluate(
     suite: Annotated[
         list[str] | None,
         typer.Option(
-            help="train_map (default), unseen, level1, level2, level3; disturbed: level2-wind5.",
+            help="train_map (default), validation, unseen, level1, level2, level3; disturbed: level2-wind5.",
             autocompletion=complete_suite,
         ),
     ] = None,
@@ -232,7 +232,8 @@ def replay_flights(
     suite: Annotated[
         str,
         typer.Option(
-            help="train_map, unseen, level1, level2, level3; disturbed: level2-wind5.", autocompletion=complete_suite
+            help="train_map, validation, unseen, level1, level2, level3; disturbed: level2-wind5.",
+            autocompletion=complete_suite,
         ),
     ] = "train_map",
     out_file: Annotated[

@@ -14,7 +14,7 @@ from typing import Any
 Vec3 = tuple[float, float, float]
 
 # Sets of maps to evaluate a policy on: its training maps, unseen ones of the same level, and of levels 1 to 3.
-SUITES = ("train_map", "unseen", "level1", "level2", "level3")
+SUITES = ("train_map", "validation", "unseen", "level1", "level2", "level3")
 
 FAR = 10_000.0  # m: no coordinate beyond this; metres stay exact to 1 mm in single precision
 

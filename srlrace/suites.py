@@ -1,5 +1,6 @@
 """Suites: what a policy can be evaluated on, which is a set of maps and, if named, a disturbance.
 
+``validation`` is the training maps again, from starts that no table is made of: what settings are to be chosen by.
 ``level2`` is a hundred unseen forests, ``level2-wind5`` the same flights with what conf/disturbance/wind5.yaml says.
 Names need no more than a listing of that folder; neither Hydra nor numpy is imported here.
 """
@@ -14,6 +15,7 @@ from srlrace.parse import ConfigError, nearest, parse, show
 from srlrace.schema import SUITES, DisturbanceConfig
 
 SEPARATOR = "-"  # names of suites are names of folders, where a plus sign is not allowed
+OWN_MAPS = ("train_map", "validation")  # suites on the maps of the training
 NOMINAL = DisturbanceConfig("nominal")
 
 
@@ -89,5 +91,6 @@ def describe_suite(suite: str) -> str:
     """Say in words where and how a suite flies, beyond the training maps; empty for those, undisturbed."""
     maps = maps_of(suite)
     level = maps.removeprefix("level")
-    where = "" if maps == "train_map" else f"unseen level {level}" if level != maps else "unseen maps"
+    own = {"train_map": "", "validation": "starts for validation"}
+    where = own.get(maps, f"unseen level {level}" if level != maps else "unseen maps")
     return ", ".join(filter(None, (where, describe(disturbance_of(suite)))))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from srlrace.evaluation.suites import EVALUATION_SEED, Suite
+from srlrace.evaluation.suites import Suite
 from srlrace.provenance import versions
 from srlrace.report.stats import wilson
 from srlrace.suites import definition
@@ -51,7 +51,7 @@ def episode_row(suite: Suite, race: Race, i: int) -> dict[str, Any]:
     has_lap = track.laps > 0 and passed > gates
     return {
         "episode": i,
-        "seed": EVALUATION_SEED,
+        "seed": suite.seed,
         "map": suite.map_seeds[int(race.fleet.map[i])],
         "outcome": OUTCOMES[int(out.outcome[i])],
         "time_s": seconds if finished else None,
@@ -98,7 +98,7 @@ def summarise(run_id: str, suite: Suite, rows: list[dict[str, Any]]) -> dict[str
         "suite": suite.name,
         **({"disturbance": disturbed} if disturbed else {}),
         "episodes": len(rows),
-        "evaluation_seed": EVALUATION_SEED,
+        "evaluation_seed": suite.seed,
         "maps": len(suite.map_seeds),
         "horizon_s": horizon,
         "timed": timed,

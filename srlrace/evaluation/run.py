@@ -13,7 +13,7 @@ import torch
 from srlrace.config import to_dict
 from srlrace.evaluation.episodes import episode_rows, rows_csv, summarise
 from srlrace.evaluation.flights import fly
-from srlrace.evaluation.suites import EVALUATION_SEED, Suite, make_suite
+from srlrace.evaluation.suites import Suite, make_suite
 from srlrace.files import atomic_write, naming, remove_leftovers, write_sealed
 from srlrace.learn.policy import load_policy
 from srlrace.locks import hold
@@ -34,7 +34,7 @@ def recorded_count(record: str, episodes: int) -> int:
 
 def write_recording(path: Path, run: RunFolder, suite: Suite, flights: Iterator[Flight], episodes_csv: bytes) -> None:
     """Write the flights of an evaluation as one MCAP."""
-    metadata = {"run": run.id, "suite": suite.name, "evaluation_seed": str(EVALUATION_SEED), **versions()}
+    metadata = {"run": run.id, "suite": suite.name, "evaluation_seed": str(suite.seed), **versions()}
     config_json = json.dumps(to_dict(suite.config), indent=1).encode()
     track = suite.config.env
     with (

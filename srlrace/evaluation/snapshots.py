@@ -10,7 +10,7 @@ import torch
 
 from srlrace.evaluation.episodes import CRASHES, episode_rows, summarise
 from srlrace.evaluation.flights import fly
-from srlrace.evaluation.suites import EVALUATION_SEED, make_suite
+from srlrace.evaluation.suites import make_suite
 from srlrace.files import remove_leftovers, write_sealed
 from srlrace.learn.policy import load_policy
 from srlrace.locks import hold
@@ -50,6 +50,6 @@ def evaluate_snapshots(run: RunFolder, episodes: int, suite: str = "train_map") 
             crashed = sum(outcomes[name] for name in CRASHES)
             flown = {"finished": outcomes["finished"], "crashed": crashed, "time_s": summary["time_mean_s"]}
             rows.append({"steps": steps, **flown})
-        head = {"format": 1, "suite": suite, "episodes": episodes, "evaluation_seed": EVALUATION_SEED}
+        head = {"format": 1, "suite": suite, "episodes": episodes, "evaluation_seed": prepared.seed}
         write_sealed(folder / "learning.json", {**head, "snapshots": rows})
     return rows

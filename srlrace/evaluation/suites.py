@@ -17,29 +17,36 @@ from srlrace.config import Config, ConfigError, LevelConfig
 from srlrace.evaluation.disturbance import DisturbedRace, periods
 from srlrace.runs import RunError
 from srlrace.schema import DisturbanceConfig
-from srlrace.suites import NOMINAL, disturbance_of, maps_of
+from srlrace.suites import NOMINAL, OWN_MAPS, disturbance_of, maps_of
 from srlrace.task.certificate import certified_field, unseen_maps
 from srlrace.task.race import Race, RaceMode
 from srlrace.world.field import ObstacleField
 from srlrace.world.levels import FIRST_UNSEEN_SEED
 
-EVALUATION_SEED = 20_240_401  # first word of every evaluation stream; ours, arbitrary, never a training seed
+# First word of every stream of starts: of the tables, and of the suite that settings are chosen by. Ours, arbitrary,
+# never a training seed.
+EVALUATION_SEED = 20_240_401
+VALIDATION_SEED = 777_001
 UNSEEN_MAPS = 100  # per level
 
 
 @dataclass(frozen=True)
 class Suite:
-    """What a policy is evaluated on: a configuration to fly in, the seeds of its maps, and what is disturbed."""
+    """What a policy is evaluated on: a configuration to fly in, the seeds of its maps, and what is disturbed.
+
+    ``seed`` is that of the starts and the displaced waypoints.
+    """
 
     name: str
     config: Config
     map_seeds: tuple[int, ...]
     field: ObstacleField
     disturbance: DisturbanceConfig = NOMINAL
+    seed: int = EVALUATION_SEED
 
     def race(self, episodes: NDArray[np.int64]) -> Race:
         """Return a race of these episodes, a drone each, not reset yet."""
-        mode = RaceMode.evaluation(EVALUATION_SEED, episodes)
+        mode = RaceMode.evaluation(self.seed, episodes)
         if self.disturbance == NOMINAL:
             return Race(self.config, mode, self.field)
         return DisturbedRace(self.config, mode, self.field, self.disturbance)
@@ -68,9 +75,10 @@ def make_suite(config: Config, name: str) -> Suite:
     maps = maps_of(name)
     level = preset_level(maps.removeprefix("level")) if maps.startswith("level") else config.level
     flown = dataclasses.replace(config, level=level, randomization=compose(["randomization=init"]).randomization)
-    seeds = _train_seeds(config) if maps == "train_map" else _unseen_seeds(flown, name)
+    seeds = _train_seeds(config) if maps in OWN_MAPS else _unseen_seeds(flown, name)
     field = certified_field(flown, [seed - level.map_seed for seed in seeds])
-    return Suite(name, flown, seeds, field, disturbance)
+    starts = VALIDATION_SEED if maps == "validation" else EVALUATION_SEED
+    return Suite(name, flown, seeds, field, disturbance, starts)
 
 
 def _train_seeds(config: Config) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ from srlrace.bound.store import reference_time, unseen_times
 from srlrace.report.collect import Evaluation
 from srlrace.report.presets import row_config
 from srlrace.schema import Config
-from srlrace.suites import maps_of
+from srlrace.suites import OWN_MAPS, maps_of
 
 OPEN = "T_ref and the gap to it are of the track without obstacles"
 UNDISTURBED = "T_ref and the gap to it are of the undisturbed quadrotor"
@@ -46,7 +46,7 @@ def _compare(config: Config, maps: str, evaluations: Sequence[Evaluation]) -> Co
         times = _unseen(config, maps)
         if any(time is not None for time in times.values()):
             return _on_unseen(times, evaluations)
-    elif maps == "train_map" and config.level.maps == 1 and (solved := _of_track(config, True)) is not None:
+    elif maps in OWN_MAPS and config.level.maps == 1 and (solved := _of_track(config, True)) is not None:
         return Comparison(solved, None)
     free = _of_track(config, False)
     return Comparison(free, None, (OPEN,) if free is not None else ())

@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from srlrace.config import run_id, to_dict
 from srlrace.evaluation import evaluate_run, flights, suites
-from srlrace.evaluation.suites import EVALUATION_SEED, make_suite
+from srlrace.evaluation.suites import EVALUATION_SEED, VALIDATION_SEED, make_suite
 from srlrace.files import FileError
 from srlrace.learn.policy import build_policy, save_policy
 from srlrace.recording import read_episodes, read_flight, read_metadata, read_states
@@ -95,6 +95,25 @@ def test_episodes_table(flown_forest):
     assert (rows["peak_speed_mps"] >= rows["mean_speed_mps"]).all()
     speed = rows["path_length_m"][finished] / rows["time_s"][finished]
     np.testing.assert_allclose(rows["mean_speed_mps"][finished], speed, rtol=1e-5)
+
+
+def test_validation_has_other_starts_on_the_same_map(tmp_path, config):
+    settings = config("env=split_s", "env.horizon=0.1", "seed=1")
+    run = make_run(tmp_path, settings)
+    summaries = [evaluate_run(run, 5, suite, "none") for suite in ("train_map", "validation")]
+    assert [summary["evaluation_seed"] for summary in summaries] == [EVALUATION_SEED, VALIDATION_SEED]
+    assert set(pd.read_csv(run.path / "eval/validation/episodes.csv")["seed"]) == {VALIDATION_SEED}
+    suites = [make_suite(settings, suite) for suite in ("train_map", "validation")]
+    assert suites[0].map_seeds == suites[1].map_seeds
+    starts = []
+    for suite in suites:
+        race = suite.race(np.arange(5))
+        race.reset()
+        starts.append(np.vstack([race.fleet.state[:10], race.fleet.waypoints.reshape(-1, 5)]))
+    np.testing.assert_array_equal(suites[0].field.obstacles(0), suites[1].field.obstacles(0))
+    differ = (starts[0] != starts[1]).any(axis=1)
+    assert differ[:10].all()
+    assert differ[10:].sum() >= 3  # some waypoint
 
 
 def test_summary_against_pandas(flown_forest):
@@ -333,7 +352,7 @@ def test_what_is_recorded(config, tmp_path):
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"suite": "level9"}, "suite: got 'level9', takes one of train_map, unseen, level1, level2, level3"),
+        ({"suite": "level9"}, "suite: got 'level9', takes one of train_map, validation, unseen, level1"),
         ({"suite": "level1-storm"}, "did you mean level1"),
         ({"suite": "unseen"}, "suite unseen: level none draws no maps"),
         ({"record": "some"}, "record: got 'some', takes all, none or a number"),

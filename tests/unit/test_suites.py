@@ -44,6 +44,7 @@ def test_the_robustness_table_flies_all_of_them_and_the_undisturbed() -> None:
 def test_words() -> None:
     assert definition(disturbance_of("level1")) == {}
     assert describe_suite("train_map") == ""
+    assert describe_suite("validation") == "starts for validation"
     assert describe_suite("unseen") == "unseen maps"
     assert describe_suite("level2-wind5") == "unseen level 2, wind 5 m/s"
     assert describe(DisturbanceConfig("x", mass=0.8, delay=0.04)) == "mass x0.8, action delay 40 ms"
