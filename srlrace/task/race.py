@@ -61,10 +61,11 @@ def make_field(config: Config, mode: RaceMode) -> Field:
 
 def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -> Rules:
     """Collect the constants of a race."""
-    track, draw = config.env, config.randomization
+    track, draw, curriculum = config.env, config.randomization, config.curriculum
+    in_training = float(mode.curriculum)  # evaluation knows no curriculum
     airframe = Airframe(config.quad)
     displaced = len(track.waypoints) if draw.every_waypoint else track.displaced_waypoints
-    spread = 1.0 + (config.curriculum.start_margin if mode.curriculum else 0.0)
+    spread = 1.0 + in_training * curriculum.start_margin
     return Rules(
         dt=config.sim.control_period,
         substeps=config.sim.substeps,
@@ -76,8 +77,8 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         passing_radius=track.passing_radius,
         arm_length=config.quad.arm_length,
         keep_out=config.keep_out,
-        margin=config.curriculum.obstacle_margin if mode.curriculum else 0.0,
-        margin_steps=round(config.curriculum.obstacle_margin_after / config.sim.control_period),
+        margin=in_training * curriculum.obstacle_margin,
+        margin_steps=round(curriculum.obstacle_margin_after / config.sim.control_period),
         airframe=airframe.pack(dtype),
         hover_thrust=airframe.hover_thrust,
         max_collective=airframe.max_collective,
@@ -105,13 +106,13 @@ def make_rules(config: Config, field: Field, mode: RaceMode, dtype: DTypeLike) -
         displacement=draw.waypoint_displacement,
         drag_spread=draw.drag,
         thrust_spread=draw.thrust,
-        gate_starts=config.curriculum.gate_starts if mode.curriculum else 0.0,
-        memory_starts=config.curriculum.memory_starts if mode.curriculum else 0.0,
-        retry_starts=config.curriculum.retry_starts if mode.curriculum else 0.0,
-        hard_starts=config.curriculum.hard_starts if mode.curriculum else 0.0,
-        hard_steps=round((config.curriculum.hard_time or track.horizon) / config.sim.control_period),
-        hard_late=config.curriculum.hard_late,
-        escape_starts=config.curriculum.escape_starts if mode.curriculum else 0.0,
+        gate_starts=in_training * curriculum.gate_starts,
+        memory_starts=in_training * curriculum.memory_starts,
+        retry_starts=in_training * curriculum.retry_starts,
+        hard_starts=in_training * curriculum.hard_starts,
+        hard_steps=round((curriculum.hard_time or track.horizon) / config.sim.control_period),
+        hard_late=curriculum.hard_late,
+        escape_starts=in_training * curriculum.escape_starts,
         escapes=np.zeros((0, record_size(len(track.waypoints))), dtype),
         autoreset=mode.autoreset,
         wind=np.zeros((3, 0), dtype),
