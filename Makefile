@@ -65,8 +65,8 @@ report-pictures: $(STAMP) browser-tools
 	$(BIN)/python docs/images/report_pictures.py $(REPORT_RUNS) docs/images
 
 REPLAY_RUNS ?= runs/reference
-REPLAY_FOREST ?= forest-srl_tuned-s0-16a39625
-REPLAY_SPLIT_S ?= split_s-srl_tuned-s0
+REPLAY_FOREST ?= forest-srl_tuned-s0-cb2b0196
+REPLAY_SPLIT_S ?= split_s-srl_tuned-s0-42ccef87
 replay-pictures: $(STAMP) browser-tools
 	$(BIN)/python docs/images/replay_pictures.py $(REPLAY_RUNS) $(REPLAY_FOREST) $(REPLAY_SPLIT_S) results
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from io import BytesIO
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from srlrace.config import run_id
 from srlrace.evaluation import evaluate_run
 from srlrace.report.command import read_report
-from srlrace.runs import RunFolder, State, list_runs
+from srlrace.runs import RunFolder, State, find, list_runs
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 EPISODES = 100
@@ -69,14 +70,27 @@ def test_a_page_shows_what_they_say(experiment: str, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "suite"),
-    [("forest-srl-", "train_map"), ("split_s-srl-", "train_map"), ("forest-srl_tuned-facing-", "level2")],
+    ("kind", "curriculum", "suite"),
+    [
+        ("forest-srl-", "default", "train_map"),
+        ("split_s-srl-", "default", "train_map"),
+        ("forest-srl_tuned-", "taught_course", "train_map"),
+        ("split_s-srl_tuned-", "taught", "train_map"),
+        ("forest-srl_tuned-facing-", "default", "level2"),
+    ],
 )
-def test_a_published_policy_flies_as_published(kind: str, suite: str, tmp_path: Path) -> None:
-    published = next(r for r in list_runs(REFERENCE) if r.id.startswith(kind) and suite in r.evaluations)
+def test_a_published_policy_flies_as_published(kind: str, curriculum: str, suite: str, tmp_path: Path) -> None:
+    alike = (r for r in list_runs(REFERENCE) if r.id.startswith(kind) and r.load_config().curriculum.name == curriculum)
+    published = next(r for r in alike if suite in r.evaluations)
     copy = RunFolder(Path(shutil.copytree(published.path, tmp_path / published.id)))
     evaluate_run(copy, EPISODES, suite, record="none")
     columns = ["outcome", "time_s", "gates_passed"]
     ours, theirs = (pd.read_csv(BytesIO(r.episodes(suite)))[:EPISODES][columns] for r in (copy, published))
     assert (ours["outcome"] == theirs["outcome"]).mean() >= SAME
     assert ours["time_s"].mean() == pytest.approx(theirs["time_s"].mean(), rel=0.02)
+
+
+def test_the_replays_pictures_are_of_published_runs() -> None:
+    named = re.findall(r"^REPLAY_(?:FOREST|SPLIT_S) \?= (\S+)$", (REFERENCE.parents[1] / "Makefile").read_text(), re.M)
+    assert len(named) == 2
+    assert [find(REFERENCE, name).id for name in named] == named
