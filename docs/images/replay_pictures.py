@@ -35,7 +35,7 @@ class Picture:
 
 
 PICTURES = (
-    Picture("replay-forest", "forest", Wish(), "t=3.42&play=0", (1440, 900)),
+    Picture("replay-forest", "forest", Wish(), "t=4.1&play=0", (1440, 900)),
     Picture("replay-split_s", "split_s", Wish(overlay=6), "t=5.9&play=0", (1440, 900), "light"),
     Picture("replay-phone", "forest", Wish(), "t=1.2&play=0", (390, 844), "dark", 2.0),
     Picture("replay-4k", "split_s", Wish(), "t=5.2&play=0", (3840, 2160)),
