@@ -20,9 +20,9 @@ from srlrace.suites import definition, disturbance_of, suite_names
 
 GATES_LIMIT = 1_001_000  # a thousand laps of a thousand waypoints, the most that a track may have, and the first again
 CRASHES = ("crashed", "out_of_bounds", "diverged")  # what the crash ratio counts
-MANY = 1000  # folders that are read by several processes: starting those takes as long as reading a hundred
+MANY = 100  # folders that are read by several processes: of fewer, one has read most when the others have started
 READERS = 8  # processes: beyond that the disk is what is waited for
-CHUNK = 32  # folders handed to a process at a time
+CHUNK = 16  # folders handed to a process at a time
 OUTCOMES = ("finished", "timeout", *CRASHES)
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from srlrace.bound.problem import problem_of
+from srlrace.bound.problem import Problem, problem_of
 from srlrace.bound.store import reference_time, unseen_times
 from srlrace.report.collect import Evaluation
 from srlrace.report.presets import row_config
@@ -78,4 +78,10 @@ def _unseen(config: Config, maps: str) -> dict[int, float | None]:
 
 @lru_cache(maxsize=256)
 def _of_track(config: Config, obstacles: bool) -> float | None:
-    return reference_time(problem_of(config, obstacles=obstacles))
+    return _solved(problem_of(config, obstacles=obstacles))
+
+
+@lru_cache(maxsize=256)
+def _solved(problem: Problem) -> float | None:
+    """T_ref: configurations that differ in reward or learner pose one problem."""
+    return reference_time(problem)
