@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from srlrace.parse import ConfigError
 from srlrace.schema import (
+    EVALUATION_SEED,
+    VALIDATION_SEED,
     AlgoConfig,
     Config,
     CurriculumConfig,
@@ -21,6 +23,8 @@ SHAPE_FIELDS = {"sphere": ("radius",), "cylinder": ("radius", "height"), "box": 
 
 def check(config: Config) -> None:
     """Refuse a configuration whose settings contradict one another; raises `ConfigError`."""
+    if config.seed in (EVALUATION_SEED, VALIDATION_SEED):
+        raise ConfigError(f"seed: got {config.seed}, which draws the starts of evaluations; takes another")
     _check_track(config.env)
     for path, obstacles in (("env", config.env.obstacles), ("level", config.level.obstacles)):
         for index, obstacle in enumerate(obstacles):

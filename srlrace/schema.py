@@ -13,8 +13,13 @@ from typing import Any
 
 Vec3 = tuple[float, float, float]
 
-# Sets of maps to evaluate a policy on: its training maps, unseen ones of the same level, and of levels 1 to 3.
+# What to evaluate a policy on: its training maps, these again from other starts, unseen ones of the same level, and of
+# levels 1 to 3.
 SUITES = ("train_map", "validation", "unseen", "level1", "level2", "level3")
+# First word of every stream of starts: of the tables, and of the suite that settings are chosen by. Ours, arbitrary;
+# no training may have them.
+EVALUATION_SEED = 20_240_401
+VALIDATION_SEED = 777_001
 
 FAR = 10_000.0  # m: no coordinate beyond this; metres stay exact to 1 mm in single precision
 

@@ -16,17 +16,13 @@ from numpy.typing import NDArray
 from srlrace.config import Config, ConfigError, LevelConfig
 from srlrace.evaluation.disturbance import DisturbedRace, periods
 from srlrace.runs import RunError
-from srlrace.schema import DisturbanceConfig
+from srlrace.schema import EVALUATION_SEED, VALIDATION_SEED, DisturbanceConfig
 from srlrace.suites import NOMINAL, OWN_MAPS, disturbance_of, maps_of
 from srlrace.task.certificate import certified_field, unseen_maps
 from srlrace.task.race import Race, RaceMode
 from srlrace.world.field import ObstacleField
 from srlrace.world.levels import FIRST_UNSEEN_SEED
 
-# First word of every stream of starts: of the tables, and of the suite that settings are chosen by. Ours, arbitrary,
-# never a training seed.
-EVALUATION_SEED = 20_240_401
-VALIDATION_SEED = 777_001
 UNSEEN_MAPS = 100  # per level
 
 

@@ -19,6 +19,8 @@ BAD = [  # what is typed after `srlrace train`, and what the one line must say
     ("~env", "cannot be removed"),
     ("algo.learning_rate=nan", "algo.learning_rate: got nan; takes a number > 0 and <= 1"),
     ("algo.learning_rate=inf", "algo.learning_rate: got inf"),
+    ("seed=20240401", "seed: got 20240401, which draws the starts of evaluations; takes another"),
+    ("seed=777001", "seed: got 777001, which draws the starts of evaluations"),
     ("algo.learning_rate=-1", "algo.learning_rate: got -1; takes a number > 0"),
     ("algo.learning_rate=abc", "algo.learning_rate: got 'abc'; takes a number > 0"),
     ("algo.learning_rate=", "algo.learning_rate: got ''"),

@@ -12,11 +12,12 @@ from scipy.stats import binomtest
 
 from srlrace.config import run_id, to_dict
 from srlrace.evaluation import evaluate_run, flights, suites
-from srlrace.evaluation.suites import EVALUATION_SEED, VALIDATION_SEED, make_suite
+from srlrace.evaluation.suites import make_suite
 from srlrace.files import FileError
 from srlrace.learn.policy import build_policy, save_policy
 from srlrace.recording import read_episodes, read_flight, read_metadata, read_states
 from srlrace.runs import RunError, RunFolder
+from srlrace.schema import EVALUATION_SEED, VALIDATION_SEED
 from srlrace.task.certificate import certify
 from srlrace.task.reward import TERMS
 
