@@ -15,7 +15,7 @@ from srlrace.parse import ConfigError, nearest, parse, show
 from srlrace.schema import SUITES, DisturbanceConfig
 
 SEPARATOR = "-"  # names of suites are names of folders, where a plus sign is not allowed
-OWN_MAPS = ("train_map", "validation")  # suites on the maps of the training
+OWN_MAPS = {"train_map": "", "validation": "starts for validation"}  # on the maps of the training, and in words
 NOMINAL = DisturbanceConfig("nominal")
 
 
@@ -91,6 +91,5 @@ def describe_suite(suite: str) -> str:
     """Say in words where and how a suite flies, beyond the training maps; empty for those, undisturbed."""
     maps = maps_of(suite)
     level = maps.removeprefix("level")
-    own = {"train_map": "", "validation": "starts for validation"}
-    where = own.get(maps, f"unseen level {level}" if level != maps else "unseen maps")
+    where = OWN_MAPS.get(maps, f"unseen level {level}" if level != maps else "unseen maps")
     return ", ".join(filter(None, (where, describe(disturbance_of(suite)))))

@@ -76,7 +76,6 @@ def _unseen(config: Config, maps: str) -> dict[int, float | None]:
     return unseen_times(problem_of(config, obstacles=False), level)
 
 
-@lru_cache(maxsize=256)
 def _of_track(config: Config, obstacles: bool) -> float | None:
     return _solved(problem_of(config, obstacles=obstacles))
 

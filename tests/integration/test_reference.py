@@ -15,7 +15,8 @@ from srlrace.evaluation import evaluate_run
 from srlrace.report.command import read_report
 from srlrace.runs import RunFolder, State, find, list_runs
 
-REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "runs" / "reference"
 EPISODES = 100
 SAME = 0.95  # share of episodes with the published outcome: another kind of processor rounds otherwise
 
@@ -35,7 +36,7 @@ def test_every_published_run_is_whole_and_named_by_its_content() -> None:
 @pytest.mark.parametrize("experiment", ["minimum_time", "generalization", "ablation_safety", "ablation_terminal"])
 def test_the_readme_shows_what_they_say(experiment: str) -> None:
     _, report = read_report(REFERENCE)
-    readme = (REFERENCE.parents[1] / "README.md").read_text()
+    readme = (ROOT / "README.md").read_text()
     table = next(table for table in report.tables if table.experiment.name == experiment)
     for cell in table.cells:
         assert cell.numbers is not None
@@ -58,7 +59,7 @@ def test_the_readme_shows_what_they_say(experiment: str) -> None:
 )
 def test_a_page_shows_what_they_say(experiment: str, name: str) -> None:
     _, report = read_report(REFERENCE)
-    page = (REFERENCE.parents[1] / "docs" / f"{name}.md").read_text()
+    page = (ROOT / "docs" / f"{name}.md").read_text()
     table = next(table for table in report.tables if table.experiment.name == experiment)
     for cell in table.cells:
         assert cell.numbers is not None
@@ -91,6 +92,6 @@ def test_a_published_policy_flies_as_published(kind: str, curriculum: str, suite
 
 
 def test_the_replays_pictures_are_of_published_runs() -> None:
-    named = re.findall(r"^REPLAY_(?:FOREST|SPLIT_S) \?= (\S+)$", (REFERENCE.parents[1] / "Makefile").read_text(), re.M)
+    named = re.findall(r"^REPLAY_(?:FOREST|SPLIT_S) \?= (\S+)$", (ROOT / "Makefile").read_text(), re.M)
     assert len(named) == 2
     assert [find(REFERENCE, name).id for name in named] == named
